@@ -1,0 +1,1 @@
+"""Finger geometry: the stock finger, cages, inverse design, export."""

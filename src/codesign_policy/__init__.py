@@ -1,0 +1,1 @@
+"""The task, its metrics, and the policies that act in it."""
