@@ -1,0 +1,67 @@
+"""A finger pair as one value: what the simulator, the design service and the exporter share."""
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """A closed triangle surface, counter-clockwise seen from outside.
+
+    Attributes:
+        vertices: (V, 3) float64 [m].
+        faces: (F, 3) int32 vertex indices.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+
+    def mirrored_y(self) -> "TriangleMesh":
+        """The mirror image across the plane y = 0, with its winding turned back outward."""
+        return TriangleMesh(self.vertices * [1.0, -1.0, 1.0], self.faces[:, ::-1].copy())
+
+
+@dataclass(frozen=True)
+class FingerPair:
+    """A left and a right finger in the grasp frame at gap 0.
+
+    Grasp frame: origin between the fingers' most protruding points at the height of the tool
+    centre point, x sideways, y along the opening direction (left finger at y >= 0), z along the
+    approach direction, out of the gripper. At gap w the left mesh moves by +w/2 along y and the
+    right one by -w/2.
+
+    Attributes:
+        name: for people.
+        left, right: surfaces [m].
+        min_width, max_width: usable gap [m].
+        cage: cage that shaped it, empty for none.
+        parameters: design action a_D, 3 numbers per cage handle.
+        mount: how it is fastened.
+    """
+
+    name: str
+    left: TriangleMesh
+    right: TriangleMesh
+    min_width: float
+    max_width: float
+    cage: str = ""
+    parameters: tuple[float, ...] = field(default=())
+    mount: str = ""
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of geometry and limits; equal for equal fingers, whatever their name."""
+        digest = hashlib.sha256()
+        for mesh in (self.left, self.right):
+            digest.update(np.ascontiguousarray(mesh.vertices, dtype="<f8").tobytes())
+            digest.update(np.ascontiguousarray(mesh.faces, dtype="<i4").tobytes())
+        digest.update(np.array([self.min_width, self.max_width], dtype="<f8").tobytes())
+        return digest.hexdigest()
+
+    @property
+    def tip_depth(self) -> float:
+        """How far the finger tips reach beyond the tool centre point along the approach [m]."""
+        return float(max(self.left.vertices[:, 2].max(), self.right.vertices[:, 2].max()))

@@ -1,0 +1,87 @@
+"""Observation and action of the task: the one definition for training and for the policy node.
+
+Paper, section II: o = [p_ee, p_obj, w_ee, f, d] and a_C = [dp_ee, dq_ee, dw_ee].
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+POLICY_PERIOD = 0.05  # s, 20 Hz
+
+# Largest change in one policy period (20 Hz): 0.2 m/s, 2 rad/s and 100 mm/s.
+MAX_TRANSLATION = 0.010  # m, each axis
+MAX_ROTATION = 0.100  # rad, each axis
+MAX_WIDTH_CHANGE = 0.005  # m
+ACTION_SCALE = np.array([MAX_TRANSLATION] * 3 + [MAX_ROTATION] * 3 + [MAX_WIDTH_CHANGE])
+
+CONTROL_STAGE = 1.0
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a policy sees in the control stage. Positions in link_base.
+
+    Attributes:
+        tcp_position: p_ee, (3,) [m].
+        object_position: p_obj, centre of the object, (3,) [m].
+        width: w_ee, gap between the fingers' most protruding points [m].
+        design: d, the parameters of the fingers in use; empty for fingers made without a cage.
+    """
+
+    tcp_position: NDArray[np.float64]
+    object_position: NDArray[np.float64]
+    width: float
+    design: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    def vector(self) -> NDArray[np.float64]:
+        """[p_ee, p_obj, w_ee, f, d] with f = 1, the flag of the control stage; (8 + D,)."""
+        return np.concatenate(
+            [
+                self.tcp_position,
+                self.object_position,
+                [self.width, CONTROL_STAGE],
+                self.design,
+            ]
+        )
+
+    def is_finite(self) -> bool:
+        """Whether every number of it is finite."""
+        return bool(np.isfinite(self.vector()).all())
+
+
+@dataclass(frozen=True)
+class ControlAction:
+    """a_C: what to add to the commanded pose and gap over one policy period.
+
+    Attributes:
+        translation: dp_ee, (3,) [m], in link_base.
+        rotation: dq_ee, rotation vector, (3,) [rad], in link_base.
+        width: dw_ee [m].
+    """
+
+    translation: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    width: float
+
+    @classmethod
+    def from_normalised(cls, action: NDArray[np.float64]) -> "ControlAction":
+        """From a network's output in [-1, 1]^7; values outside are clipped.
+
+        Raises:
+            ValueError: not 7 numbers, or one of them is not finite.
+        """
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != (7,) or not np.isfinite(action).all():
+            raise ValueError(f"action {action}: must be 7 finite numbers")
+        scaled = np.clip(action, -1.0, 1.0) * ACTION_SCALE
+        return cls(scaled[:3], scaled[3:6], float(scaled[6]))
+
+    def normalised(self) -> NDArray[np.float64]:
+        """[dp, dq, dw] over its limits, (7,); within [-1, 1] for an allowed action."""
+        return np.concatenate([self.translation, self.rotation, [self.width]]) / ACTION_SCALE
+
+    def clipped(self) -> "ControlAction":
+        """The nearest allowed action, component by component."""
+        return ControlAction.from_normalised(self.normalised())
