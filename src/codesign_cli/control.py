@@ -1,0 +1,134 @@
+"""`codesign control`: checks and timings of the arm's kinematics and servo."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+app = typer.Typer(help="xArm7 kinematics and Cartesian servo.", no_args_is_help=True)
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON object instead of a table.")]
+
+
+@app.command()
+def fk(
+    poses: Annotated[
+        Path,
+        typer.Option(help='JSON: {"poses": [{"q_rad", "flange_position_m", "flange_rotation"}]}.'),
+    ],
+    as_json: Json = False,
+) -> None:
+    """Compare the forward kinematics of the flange with given poses.
+
+    Exit code 0: compared. 2: the file is missing or malformed; the message names the entry.
+    """
+    import numpy as np
+
+    from codesign_control import Xarm7
+
+    try:
+        expected = _read_poses(poses)
+    except (OSError, ValueError) as error:
+        typer.echo(f"{poses}: {error}", err=True)
+        raise typer.Exit(2) from error
+    arm = Xarm7()
+    position_errors, rotation_errors = [], []
+    for q, position, rotation in expected:
+        flange = arm.fk_flange(q)
+        position_errors.append(float(np.linalg.norm(flange.position - position)))
+        rotation_errors.append(_angle_between(flange.rotation, rotation))
+    _print(
+        {
+            "poses": len(expected),
+            "max_position_error_m": max(position_errors),
+            "max_rotation_error_rad": max(rotation_errors),
+        },
+        as_json,
+    )
+
+
+@app.command()
+def bench(
+    steps: Annotated[int, typer.Option(min=100, help="Control steps to time.")] = 2000,
+    as_json: Json = False,
+) -> None:
+    """Time the servo's control step while it follows a stream of actions around a circle."""
+    import math
+    from time import perf_counter
+
+    import numpy as np
+
+    from codesign_control import CartesianServo, Xarm7
+
+    arm = Xarm7()
+    servo = CartesianServo(arm)
+    servo.enable(arm.home, 0.0)
+    ticks = round(servo.config.action_period / servo.config.period)
+    position, durations = arm.home, []
+    for i in range(steps):
+        now = i * servo.config.period
+        if i % ticks == 0:
+            step = 0.005 * np.array([math.cos(2 * now), math.sin(2 * now), 0.0])
+            servo.submit(step, np.zeros(3), now)
+        start = perf_counter()
+        position = servo.step(position, now).position
+        durations.append(perf_counter() - start)
+    p50, p99, worst = (float(us) for us in np.percentile(durations, [50, 99, 100]) * 1e6)
+    _print({"steps": steps, "p50_us": p50, "p99_us": p99, "max_us": worst}, as_json)
+
+
+def _read_poses(path: Path) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """(7,) joints, (3,) position, (3, 3) rotation of every entry; ValueError naming a bad one."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    entries = content.get("poses") if isinstance(content, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise ValueError('expected an object with a non-empty list "poses"')
+    return [_read_pose(i, entry) for i, entry in enumerate(entries)]
+
+
+def _read_pose(index: int, entry: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    import numpy as np
+
+    if not isinstance(entry, dict):
+        raise ValueError(f"poses[{index}]: expected an object")
+    arrays = []
+    for key, shape in (("q_rad", (7,)), ("flange_position_m", (3,)), ("flange_rotation", (3, 3))):
+        if key not in entry:
+            raise ValueError(f"poses[{index}]: {key} is missing")
+        try:
+            array = np.array(entry[key], dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"poses[{index}].{key}: not numbers") from error
+        if array.shape != shape or not np.isfinite(array).all():
+            raise ValueError(f"poses[{index}].{key}: expected {shape} finite numbers")
+        arrays.append(array)
+    if np.abs(arrays[2] @ arrays[2].T - np.eye(3)).max() > 1e-6 or np.linalg.det(arrays[2]) < 0:
+        raise ValueError(f"poses[{index}].flange_rotation: not a rotation matrix")
+    return arrays[0], arrays[1], arrays[2]
+
+
+def _angle_between(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle [rad] between two rotations; exact for small ones, where arccos of the trace is not."""
+    import numpy as np
+
+    chord = float(np.linalg.norm(a - b)) / (2.0 * np.sqrt(2.0))  # sin(angle / 2)
+    return float(2.0 * np.arcsin(min(chord, 1.0)))
+
+
+def _print(result: dict[str, int | float], as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("quantity", "value")
+    for name, value in result.items():
+        table.add_row(name, str(value) if isinstance(value, int) else f"{value:.4g}")
+    Console().print(table)

@@ -1,0 +1,169 @@
+"""Joint motion that can always stop: the last gate before a set-point leaves the library.
+
+Every step is proposed first and taken only when the arm could still brake from it, jerk-limited,
+without leaving the joint limits, the velocity limit or the workspace box. Otherwise the arm moves
+on along the stop that was found safe one tick earlier. So, by induction, nothing that is asked of
+this class can make it break a limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
+
+from codesign_control.config import ServoConfig
+from codesign_control.xarm7 import Xarm7
+
+DOF = 7
+AT_REST = 1e-9  # rad/s, rad/s^2: below it a joint counts as standing
+ROUNDING = 1e-9  # relative slack for limits that are met exactly
+
+
+@dataclass(frozen=True)
+class JointState:
+    """position (7,) rad, velocity (7,) rad/s, acceleration (7,) rad/s^2."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+    @staticmethod
+    def standing(position: np.ndarray) -> JointState:
+        return JointState(np.array(position, dtype=float), np.zeros(DOF), np.zeros(DOF))
+
+    @property
+    def at_rest(self) -> bool:
+        return bool(
+            np.abs(self.velocity).max() < AT_REST and np.abs(self.acceleration).max() < AT_REST
+        )
+
+
+class TrajectoryError(RuntimeError):
+    """Ruckig found no trajectory; the message holds its result and what was asked."""
+
+
+class JointMotion:
+    """The commanded joint state and the stop that is known to be safe from it."""
+
+    def __init__(self, arm: Xarm7, config: ServoConfig, position: np.ndarray) -> None:
+        self._arm = arm
+        self._config = config
+        self._box_lower = np.asarray(config.box_lower)
+        self._box_upper = np.asarray(config.box_upper)
+        self._generator = Ruckig(DOF, config.period)
+        self.stand(position)
+
+    def stand(self, position: np.ndarray) -> None:
+        """Starts again at rest at `position`."""
+        self.state = JointState.standing(position)
+        self._stop = [self.state]  # states at the coming ticks; the last one stands
+
+    @property
+    def stop_position(self) -> np.ndarray:
+        """(7,) where the arm would stand if it braked from now on."""
+        return self._stop[-1].position
+
+    def brake(self) -> None:
+        """One tick along the safe stop."""
+        self.state = self._stop.pop(0) if len(self._stop) > 1 else self._stop[0]
+
+    def follow_velocity(self, velocity: np.ndarray) -> bool:
+        """One tick towards a joint velocity; False when that was unsafe and the arm braked."""
+        return self._take(self._towards(velocity))
+
+    def follow(self, state: JointState) -> bool:
+        """One tick to `state` (of a planned trajectory); False when unsafe and the arm braked."""
+        return self._take(state)
+
+    def plan(self, goal: np.ndarray, speed_scale: float) -> list[JointState]:
+        """States at the coming ticks of a jerk-limited motion to `goal`, where it stands.
+
+        Raises TrajectoryError when Ruckig fails, ValueError when the motion leaves a limit.
+        """
+        request = self._request(self.state)
+        request.target_position = goal.tolist()
+        request.max_velocity = [self._config.joint_velocity * speed_scale] * DOF
+        request.synchronization = Synchronization.Time
+        states = self._sample(request)
+        if not self._inside(states):
+            raise ValueError("the motion leaves the joint limits or the workspace box")
+        return states
+
+    def _take(self, candidate: JointState) -> bool:
+        stop = self._safe_stop(candidate)
+        if stop is None:
+            self.brake()
+            return False
+        self.state, self._stop = candidate, stop
+        return True
+
+    def _towards(self, velocity: np.ndarray) -> JointState:
+        """The state after one tick of constant jerk towards a joint velocity.
+
+        Away from the limits: two lags of `smoothing`, critically damped. A time-optimal retarget
+        (Ruckig) in every tick would instead swing between the two jerk limits.
+        """
+        config, dt = self._config, self._config.period
+        q, v, a = self.state.position, self.state.velocity, self.state.acceleration
+        change = velocity - v
+        wanted = change / (2.0 * config.smoothing)  # acceleration
+        braking = np.sqrt(1.6 * config.joint_jerk * np.abs(change))  # can still return to zero
+        most = np.minimum(braking, config.joint_acceleration)
+        limit = config.joint_jerk
+        jerk = np.clip((np.clip(wanted, -most, most) - a) * 2.0 / config.smoothing, -limit, limit)
+        return JointState(
+            q + dt * (v + dt * (a / 2 + dt * jerk / 6)), v + dt * (a + dt * jerk / 2), a + dt * jerk
+        )
+
+    def _safe_stop(self, state: JointState) -> list[JointState] | None:
+        """The stop from `state`, tick by tick, or None where it would leave a limit."""
+        if np.abs(state.acceleration).max() > self._config.joint_acceleration * (1 + ROUNDING):
+            return None
+        if state.at_rest:
+            stop = [JointState.standing(state.position)]
+        else:
+            request = self._request(state)
+            request.control_interface = ControlInterface.Velocity
+            request.synchronization = Synchronization.No  # each joint as soon as it can
+            stop = self._sample(request)
+        return stop if self._inside([state, *stop]) else None
+
+    def _inside(self, states: list[JointState]) -> bool:
+        """Whether the states keep the joint limits, the velocity limit and the workspace box."""
+        if not self._arm.within_limits(np.array([s.position for s in states])):
+            return False
+        speed = max(np.abs(s.velocity).max() for s in states)
+        if speed > self._config.joint_velocity * (1 + ROUNDING):
+            return False
+        for state in states:
+            tcp = self._arm.tcp_placement(state.position).translation
+            if (tcp < self._box_lower).any() or (tcp > self._box_upper).any():
+                return False
+        return True
+
+    def _request(self, state: JointState) -> InputParameter:
+        """A Ruckig request from `state` to rest, at full limits."""
+        request = InputParameter(DOF)
+        request.current_position = state.position.tolist()
+        request.current_velocity = state.velocity.tolist()
+        request.current_acceleration = state.acceleration.tolist()
+        request.max_velocity = [self._config.joint_velocity] * DOF
+        request.max_acceleration = [self._config.joint_acceleration] * DOF
+        request.max_jerk = [self._config.joint_jerk] * DOF
+        return request
+
+    def _sample(self, request: InputParameter) -> list[JointState]:
+        """Ruckig's answer at the coming ticks, up to and including the first one at rest."""
+        trajectory = Trajectory(DOF)
+        result = self._generator.calculate(request, trajectory)
+        if result not in (Result.Working, Result.Finished):
+            raise TrajectoryError(f"Ruckig: {result.name} for {request}")
+        dt = self._config.period
+        ticks = int(np.ceil(trajectory.duration / dt))
+        states = [
+            JointState(*(np.array(part) for part in trajectory.at_time(i * dt)[:3]))
+            for i in range(1, ticks)
+        ]
+        return [*states, JointState.standing(trajectory.at_time(trajectory.duration)[0])]
