@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+MOUNT_FACE = 0.019  # m, from the finger link's origin along the closing direction
+
 
 @dataclass(frozen=True)
 class TriangleMesh:
@@ -29,9 +31,9 @@ class FingerPair:
     """A left and a right finger in the grasp frame at gap 0.
 
     Grasp frame: origin between the fingers' most protruding points at the height of the tool
-    centre point, x sideways, y along the opening direction (left finger at y >= 0), z along the
-    approach direction, out of the gripper. At gap w the left mesh moves by +w/2 along y and the
-    right one by -w/2.
+    centre point with the gripper's drive closed, x sideways, y along the opening direction (left
+    finger at y >= 0), z along the approach direction, out of the gripper. At gap w the left mesh
+    moves by +w/2 along y and the right one by -w/2.
 
     Attributes:
         name: for people.
@@ -60,6 +62,14 @@ class FingerPair:
             digest.update(np.ascontiguousarray(mesh.faces, dtype="<i4").tobytes())
         digest.update(np.array([self.min_width, self.max_width], dtype="<f8").tobytes())
         return digest.hexdigest()
+
+    @property
+    def protrusion(self) -> float:
+        """From the finger link's origin to the most protruding point, along the closing [m].
+
+        The mount face, where the mesh ends, is 0.019 m from that origin on the stock finger.
+        """
+        return MOUNT_FACE + float(self.left.vertices[:, 1].max())
 
     @property
     def tip_depth(self) -> float:

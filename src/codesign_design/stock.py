@@ -20,9 +20,9 @@ EDGE_RADIUS = 0.0007  # m
 OUTLINE_RADIUS = 0.0015  # m, corners of both outlines seen from the front
 CENTRE_Z_IN_LINK = 0.041  # m, finger-link frame
 
-# Height of the finger link above the tool centre point when the pads touch: the four-bar of the
-# gripper puts the link at z = 0.113358 m from the flange at gap 0, the TCP is at 0.172 m.
-LINK_Z_AT_GAP_0 = 0.113358 - 0.172
+# The finger link's z in the grasp frame: the four-bar of the gripper puts the link 0.113487 m from
+# the flange at its closed end, and the tool centre point is at 0.172 m.
+LINK_Z = 0.113487 - 0.172  # m
 
 STROKE = 0.084  # m, the gripper's full opening by its manual
 
@@ -81,7 +81,7 @@ def _outline(width: float, height: float, inset: float) -> NDArray[np.float64]:
 def _loft(profile: list[tuple[float, float, float]]) -> TriangleMesh:
     """Joins the outlines to one closed surface, with a fan of triangles on either end."""
     sizes = {0.0: (FRAME_WIDTH, FRAME_HEIGHT), 1.0: (PAD_WIDTH, PAD_HEIGHT)}
-    z_centre = CENTRE_Z_IN_LINK + LINK_Z_AT_GAP_0
+    z_centre = CENTRE_Z_IN_LINK + LINK_Z
     rings = []
     for y, inset, outline in profile:
         xz = _outline(*sizes[outline], inset)

@@ -31,7 +31,7 @@ class GraspPlan:
     hover: float = 0.035
     clearance: float = 0.0015
     lift: float = 0.100
-    speed: float = 0.15
+    speed: float = 0.13
     lift_time: float = 1.6
     close_speed: float = 0.03
     settle_time: float = 0.4

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 POLICY_PERIOD = 0.05  # s, 20 Hz
 
-# Largest change in one policy period (20 Hz): 0.2 m/s, 2 rad/s and 100 mm/s.
-MAX_TRANSLATION = 0.010  # m, each axis
-MAX_ROTATION = 0.100  # rad, each axis
+# Largest change in one policy period: 0.14 m/s and 0.5 rad/s along each axis, 0.1 m/s of the gap.
+# Within what the controller accepts in one action (0.25 m/s, 1 rad/s).
+MAX_TRANSLATION = 0.007  # m, each axis
+MAX_ROTATION = 0.025  # rad, each axis
 MAX_WIDTH_CHANGE = 0.005  # m
 ACTION_SCALE = np.array([MAX_TRANSLATION] * 3 + [MAX_ROTATION] * 3 + [MAX_WIDTH_CHANGE])
 

@@ -1,0 +1,445 @@
+"""Node cartesian_controller: actions in, joint and gripper set-points out.
+
+At real time a steady timer steps the servo. With use_sim_time the joint state is the clock: each
+new stamp is answered with one set-point of the same stamp, and on the policy's grid the set-point
+waits for the action that answers that stamp.
+"""
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from codesign_control import (
+    ActionRejected,
+    CartesianServo,
+    GoalState,
+    GripperModel,
+    MoveRejected,
+    Pose,
+    ServoConfig,
+    ServoOutput,
+    ServoState,
+    Xarm7,
+)
+from codesign_control.grasp_frame import grasp_pose, tcp_translation
+from codesign_interfaces.action import MoveTo
+from codesign_interfaces.msg import (
+    ControlAction,
+    ControllerStatus,
+    FingerDesign,
+    GripperCommand,
+    GripperState,
+    JointCommand,
+)
+from codesign_policy.task import MAX_WIDTH_CHANGE, POLICY_PERIOD
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from codesign_nodes import messages, qos
+from codesign_nodes.node_tools import (
+    Diagnostics,
+    declare,
+    nanoseconds,
+    run,
+    steady_clock,
+)
+
+ACTION_PERIOD_NS = round(POLICY_PERIOD * 1e9)
+STATUS_PERIOD = 0.05  # s
+FRESH_STATE_TIMEOUT = 1.0  # s, wait of ~/enable for a joint state
+MIN_GRIPPER_SPEED = 0.015  # m/s, slower ones the gripper does not accept
+
+
+class CartesianController(Node):
+    """Wraps `CartesianServo` and keeps the gripper's target."""
+
+    def __init__(self) -> None:
+        super().__init__("cartesian_controller")
+        self._config = self._declare_config()
+        self._wait_limit = declare(
+            self,
+            "lockstep_timeout",
+            3.0,
+            "wall time that a simulated tick waits for the policy's action [s]",
+            low=0.1,
+            high=60.0,
+        )
+        self._lockstep = self.get_parameter("use_sim_time").value
+        self._arm = Xarm7()
+        self._servo = CartesianServo(self._arm, self._config)
+        self._gripper = GripperModel()
+        self._measured: np.ndarray | None = None
+        self._measured_is_new = False
+        self._width: float | None = None  # measured
+        self._width_target: float | None = None
+        self._width_speed = 0.0
+        self._last_action = ControlAction()
+        self._rejected = 0
+        self._last_error = ""
+        self._output: ServoOutput | None = None
+        self._commands: tuple[JointCommand, GripperCommand] | None = None
+        self._fresh: Future | None = None
+        self._goal_done: Future | None = None
+        self._status_at = 0.0
+        # Lockstep: the tick in hand, and whether a policy answers at all.
+        self._pending: Any = None
+        self._pending_since = 0.0
+        self._stepped = -1
+        self._now = 0.0
+        self._policy_absent = False
+        self._make_interfaces()
+        self._diagnostics = Diagnostics(self, self._report)
+
+    def _declare_config(self) -> ServoConfig:
+        d = ServoConfig()
+        table = declare(
+            self, "table_height", 0.0, "z of the table in link_base [m]", low=-0.5, high=0.5
+        )
+        return ServoConfig(
+            action_period=POLICY_PERIOD,
+            action_timeout=declare(
+                self,
+                "action_timeout",
+                d.action_timeout,
+                "age of an action above which the arm halts [s]",
+                low=0.05,
+                high=1.0,
+            ),
+            # The four-bar's z motion comes on top of what a policy may ask for.
+            action_translation=0.015,
+            linear_speed=declare(
+                self, "linear_speed", d.linear_speed, "of link_tcp [m/s]", low=0.01, high=0.5
+            ),
+            angular_speed=declare(
+                self, "angular_speed", d.angular_speed, "of link_tcp [rad/s]", low=0.05, high=2.0
+            ),
+            box_lower=(d.box_lower[0], d.box_lower[1], table + d.box_lower[2]),
+            box_upper=(d.box_upper[0], d.box_upper[1], table + d.box_upper[2]),
+        )
+
+    def _make_interfaces(self) -> None:
+        self._joint_pub = self.create_publisher(
+            JointCommand, "/joint_command", qos.JOINT_COMMAND_OFFERED
+        )
+        self._gripper_pub = self.create_publisher(
+            GripperCommand, "/gripper_command", qos.JOINT_COMMAND_OFFERED
+        )
+        self._pose_pub = self.create_publisher(PoseStamped, "/tcp_pose", qos.POSE_OFFERED)
+        self._status_pub = self.create_publisher(ControllerStatus, "~/status", qos.STATE_OFFERED)
+        self.create_subscription(
+            ControlAction, "/action", self._on_action, qos.ACTION_REQUESTED
+        )
+        self.create_subscription(JointState, "/joint_states", self._on_joint_state, qos.STATE)
+        self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.STATE)
+        self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
+        self._server = ActionServer(
+            self,
+            MoveTo,
+            "~/move_to",
+            execute_callback=self._execute_move,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=self._on_cancel,
+        )
+        period = 0.05 if self._lockstep else self._config.period
+        on_timer = self._give_up_waiting if self._lockstep else self._on_timer
+        self._timer = self.create_timer(period, on_timer, clock=steady_clock())
+
+    # --- the control step
+
+    def _on_timer(self) -> None:
+        self._now = time.monotonic()
+        self._step(self.get_clock().now().to_msg())
+
+    def _step(self, stamp: Any) -> None:
+        measured = self._measured if self._measured_is_new else None
+        self._measured_is_new = False
+        output = self._servo.step(measured, self._now)
+        changed = self._output is None or output.state != self._output.state
+        self._output = output
+        if output.active:
+            self._commands = (self._joint_command(output, stamp), self._gripper_command(stamp))
+            self._publish_commands()
+        if changed or time.monotonic() - self._status_at > STATUS_PERIOD:
+            self._publish_status(stamp)
+        if self._goal_done is not None and output.goal is not GoalState.RUNNING:
+            self._goal_done.set_result(output.goal)
+            self._goal_done = None
+
+    def _joint_command(self, output: ServoOutput, stamp: Any) -> JointCommand:
+        message = JointCommand(
+            position=output.position,
+            velocity=output.velocity,
+            action_stamp=self._last_action.header.stamp,
+            action_sequence=self._last_action.sequence,
+        )
+        message.header.stamp = stamp
+        return message
+
+    def _gripper_command(self, stamp: Any) -> GripperCommand:
+        message = GripperCommand(width=self._gap_target(), speed=self._width_speed)
+        message.header.stamp = stamp
+        return message
+
+    def _publish_commands(self) -> None:
+        if self._commands is not None:
+            self._gripper_pub.publish(self._commands[1])
+            self._joint_pub.publish(self._commands[0])
+
+    def _gap_target(self) -> float:
+        """What the gripper is to do now: hold what it measures until something else is asked."""
+        if self._width_target is None:
+            self._width_target = self._width if self._width is not None else self._gripper.max_width
+        return self._width_target
+
+    # --- observations
+
+    def _on_joint_state(self, message: JointState) -> None:
+        if len(message.position) < 7:
+            self._reject(f"joint state with {len(message.position)} positions: must be 7")
+            return
+        self._measured = np.array(message.position[:7])
+        self._measured_is_new = True
+        if np.isfinite(self._measured).all():
+            self._publish_pose(message.header.stamp)
+        if self._fresh is not None and not self._fresh.done():
+            self._fresh.set_result(True)
+        if self._lockstep:
+            self._on_simulated_tick(message.header.stamp)
+
+    def _publish_pose(self, stamp: Any) -> None:
+        width = self._width if self._width is not None else self._gripper.min_width
+        pose = grasp_pose(self._arm, self._gripper, self._measured, width)
+        message = PoseStamped(pose=messages.pose(pose.position, pose.quaternion))
+        message.header.stamp = stamp
+        message.header.frame_id = "link_base"
+        self._pose_pub.publish(message)
+
+    def _on_gripper(self, message: GripperState) -> None:
+        if math.isfinite(message.width):
+            self._width = message.width
+
+    def _on_design(self, message: FingerDesign) -> None:
+        try:
+            self._gripper = GripperModel(messages.design_from(message).protrusion)
+        except ValueError as error:
+            self._reject(str(error))
+
+    # --- lockstep
+
+    def _on_simulated_tick(self, stamp: Any) -> None:
+        now = nanoseconds(stamp)
+        if now == self._stepped:
+            self._publish_commands()  # the simulator asks again: the last answer was lost
+            return
+        if self._pending is None or nanoseconds(self._pending) != now:
+            self._pending, self._pending_since = stamp, time.monotonic()
+        self._step_if_ready()
+
+    def _step_if_ready(self) -> None:
+        if self._pending is None or self._waits_for_action():
+            return
+        stamp, self._pending = self._pending, None
+        self._stepped = nanoseconds(stamp)
+        self._now = self._stepped * 1e-9
+        self._step(stamp)
+
+    def _waits_for_action(self) -> bool:
+        now = nanoseconds(self._pending)
+        follows = self._servo.state in (ServoState.READY, ServoState.MOVING, ServoState.HALTED)
+        if not follows or self._goal_done is not None or now % ACTION_PERIOD_NS:
+            return False
+        answered = nanoseconds(self._last_action.observation_stamp) == now
+        return not answered and not self._policy_absent
+
+    def _give_up_waiting(self) -> None:
+        """A dead policy must not stop simulated time: the servo's watchdog has to see it go by."""
+        if self._pending is None or not self._waits_for_action():
+            return
+        if time.monotonic() - self._pending_since > self._wait_limit:
+            self._policy_absent = True
+            self._step_if_ready()
+
+    # --- actions
+
+    def _on_action(self, message: ControlAction) -> None:
+        if self._lockstep and self._pending is not None:
+            self._now = nanoseconds(self._pending) * 1e-9
+        try:
+            self._submit(message)
+        except ActionRejected as error:
+            self._last_error = str(error)
+            self.get_logger().warning(f"rejected: {error}", throttle_duration_sec=1.0)
+        except ValueError as error:
+            self._reject(str(error))
+        if self._lockstep:
+            self._last_action.observation_stamp = message.observation_stamp
+            self._policy_absent = False
+            self._step_if_ready()
+
+    def _submit(self, message: ControlAction) -> None:
+        """Takes one action; ValueError when there is something wrong with it."""
+        if message.header.frame_id not in ("", "link_base"):
+            raise ValueError(f"action in frame {message.header.frame_id!r}: must be link_base")
+        if not (math.isfinite(message.width) and abs(message.width) <= MAX_WIDTH_CHANGE * 1.001):
+            raise ValueError(
+                f"action changes the gap by {message.width} m: at most {MAX_WIDTH_CHANGE} m"
+            )
+        translation = messages.from_xyz(message.translation)
+        rotation = messages.from_xyz(message.rotation)
+        before = self._gap_target()
+        after = self._gripper.clip(before + message.width)
+        if np.isfinite(translation).all() and np.isfinite(rotation).all():
+            translation = tcp_translation(
+                self._servo.reference_pose, self._gripper, translation, rotation, before, after
+            )
+        now = self._now if self._lockstep else time.monotonic()
+        self._servo.submit(translation, rotation, now)
+        self._width_target = after
+        self._width_speed = max(abs(after - before) / POLICY_PERIOD, MIN_GRIPPER_SPEED)
+        self._last_action = message
+
+    def _reject(self, why: str) -> None:
+        self._rejected += 1
+        self._last_error = why
+        self.get_logger().warning(f"rejected: {why}", throttle_duration_sec=1.0)
+
+    # --- services and the move_to action
+
+    async def _on_enable(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        if not request.data:
+            self._servo.disable()
+            response.success, response.message = True, "disabled"
+            return response
+        if not await self._fresh_state():
+            response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
+            return response
+        try:
+            self._servo.enable(self._measured, self._time())
+        except MoveRejected as error:
+            response.message = str(error)
+            return response
+        self._width_target = None
+        self._policy_absent = False
+        self._last_action = ControlAction()
+        response.success, response.message = True, "holding"
+        return response
+
+    async def _on_reset_fault(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        if not await self._fresh_state():
+            response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
+            return response
+        try:
+            self._servo.reset_fault(self._measured, self._time())
+        except MoveRejected as error:
+            response.message = str(error)
+            return response
+        response.success, response.message = True, "disabled, call ~/enable"
+        return response
+
+    async def _fresh_state(self) -> bool:
+        """Waits for a joint state that arrives from now on."""
+        fresh = Future()
+        self._fresh = fresh
+
+        def expire() -> None:
+            if not fresh.done():
+                fresh.set_result(False)
+
+        timer = self.create_timer(FRESH_STATE_TIMEOUT, expire, clock=steady_clock())
+        arrived = await fresh
+        self.destroy_timer(timer)
+        return bool(arrived)
+
+    def _time(self) -> float:
+        return self._now if self._lockstep else time.monotonic()
+
+    def _on_cancel(self, _: Any) -> CancelResponse:
+        self._servo.cancel()
+        return CancelResponse.ACCEPT
+
+    async def _execute_move(self, goal: Any) -> MoveTo.Result:
+        request = goal.request
+        result = MoveTo.Result()
+        try:
+            self._servo.move_to(
+                self._move_target(request), self._time(), request.speed_scale or 0.3
+            )
+        except (MoveRejected, ValueError) as error:
+            result.message = str(error)
+            goal.abort()
+            return result
+        if math.isfinite(request.width):
+            self._width_target = self._gripper.clip(request.width)
+            self._width_speed = 0.0
+        self._goal_done = Future()
+        outcome = await self._goal_done
+        result.success = outcome is GoalState.REACHED
+        result.message = outcome.value
+        if result.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
+
+    def _move_target(self, request: MoveTo.Goal) -> Any:
+        """Joints, or a pose of link_tcp, or the start posture when neither is given."""
+        if len(request.joints):
+            return np.array(request.joints)
+        if not request.pose.header.frame_id:
+            return self._arm.home
+        if request.pose.header.frame_id != "link_base":
+            raise ValueError(f"pose in frame {request.pose.header.frame_id!r}: must be link_base")
+        pose = request.pose.pose
+        return Pose(
+            messages.from_xyz(pose.position), messages.from_quaternion(pose.orientation)
+        )
+
+    # --- reports
+
+    def _publish_status(self, stamp: Any) -> None:
+        assert self._output is not None
+        self._status_at = time.monotonic()
+        counters = self._output.counters
+        message = ControllerStatus(
+            state=int(self._output.state),
+            message=self._output.message,
+            actions_accepted=counters.actions_accepted,
+            actions_rejected=counters.actions_rejected + self._rejected,
+            halts=counters.halts,
+            singularity_scale=self._output.singularity_scale,
+            tracking_error=self._output.tracking_error,
+        )
+        message.header.stamp = stamp
+        self._status_pub.publish(message)
+
+    def _report(self) -> tuple[bytes, str, dict[str, Any]]:
+        if self._output is None:
+            return DiagnosticStatus.WARN, "waiting for /joint_states", {}
+        level = {
+            ServoState.HALTED: DiagnosticStatus.WARN,
+            ServoState.FAULT: DiagnosticStatus.ERROR,
+        }.get(self._output.state, DiagnosticStatus.OK)
+        counters = vars(self._output.counters) | {
+            "messages_rejected": self._rejected,
+            "last_rejection": self._last_error,
+        }
+        return level, f"{self._output.state.name.lower()}: {self._output.message}", counters
+
+
+def main() -> None:
+    """Runs the node."""
+    run(CartesianController)

@@ -1,0 +1,358 @@
+"""Node fem_simulator: the simulated cell on the topics of a real arm.
+
+At real time it ticks every 10 ms. With use_sim_time it is the clock: in lockstep it publishes a
+tick's state, waits for the joint and gripper commands with that tick's stamp, and goes on at
+once, so that the same seed gives the same trial bit for bit.
+"""
+
+import time
+from typing import Any
+
+import numpy as np
+from codesign_control.xarm7 import HOME
+from codesign_design.stock import stock_fingers
+from codesign_interfaces.msg import (
+    FingerDesign,
+    GripperCommand,
+    GripperState,
+    JointCommand,
+    SimulationState,
+    SoftBodyMesh,
+    Stress,
+)
+from codesign_interfaces.srv import ResetSimulation
+from codesign_policy.domain import TrialDomain, draw_domain
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from codesign_nodes import messages, qos
+from codesign_nodes.markers import SurfaceMarkers, scene_markers
+from codesign_nodes.node_tools import Diagnostics, declare, nanoseconds, run, stamp_of, steady_clock
+from codesign_nodes.simulated_cell import CellConfig, SimulatedCell
+
+TICK_NS = 10_000_000  # 100 Hz: joint and gripper states
+POSE_TICKS = 1  # object pose: every tick
+STRESS_TICKS = 5  # 20 Hz: stress, shape
+MARKER_TICKS = 10  # 10 Hz
+REPUBLISH_AFTER = 0.2  # s of waiting in lockstep before the state is sent again
+
+
+class FemSimulator(Node):
+    """Publishes what a real arm would, and the ground truth that only a simulator has."""
+
+    def __init__(self) -> None:
+        super().__init__("fem_simulator")
+        seed = declare(self, "seed", 0, "seed of the first block's material and place", low=0, high=2**53)
+        self._lockstep = self.get_parameter("use_sim_time").value
+        config = CellConfig(
+            home=HOME,
+            tetrahedra=declare(self, "tetrahedra", 2400, "resolution of the block: 600 or 2400"),
+            table_height=declare(
+                self, "table_height", 0.0, "z of the table in link_base [m]", low=-0.5, high=0.5
+            ),
+            open_width=declare(
+                self, "open_width", 0.06, "gap after a reset [m]", low=0.035, high=0.084
+            ),
+            arm_lag=declare(
+                self, "arm_lag", 0.010, "time constant of the simulated arm [s]", low=0.0, high=0.2
+            ),
+            gripper_speed=declare(
+                self, "gripper_speed", 0.1, "default speed of the gap [m/s]", low=0.015, high=0.225
+            ),
+        )
+        self._cell = SimulatedCell(config, stock_fingers())
+        simulator = self._cell.simulator
+        self._markers = SurfaceMarkers(simulator.surface_triangles, simulator.surface_tetrahedra)
+        self._tick = 0
+        self._paused = False
+        self._rejected = 0
+        self._overruns = 0
+        self._busy = 0.0
+        self._report_at = time.monotonic()
+        self._report_tick = 0
+        self._error = ""
+        self._commands: dict[str, int] = {}
+        self._sent_at = 0.0
+        self._make_interfaces()
+        self._reset(draw_domain(seed))
+        self._publish_design()
+        if self._lockstep:
+            self._timer = self.create_timer(0.05, self._republish, clock=steady_clock())
+            self._publish_state()
+        else:
+            self._timer = self.create_timer(TICK_NS * 1e-9, self._on_timer, clock=steady_clock())
+        self._diagnostics = Diagnostics(self, self._report)
+
+    def _make_interfaces(self) -> None:
+        offered = qos.STATE_OFFERED
+        self._clock_pub = self.create_publisher(Clock, "/clock", offered) if self._lockstep else None
+        self._joint_pub = self.create_publisher(JointState, "/joint_states", offered)
+        self._gripper_pub = self.create_publisher(GripperState, "/gripper_state", offered)
+        self._pose_pub = self.create_publisher(PoseStamped, "/object_pose", qos.POSE_OFFERED)
+        self._stress_pub = self.create_publisher(Stress, "/stress", offered)
+        self._state_pub = self.create_publisher(SimulationState, "/simulation_state", offered)
+        self._mesh_pub = self.create_publisher(SoftBodyMesh, "/soft_body_mesh", qos.LATCHED)
+        self._design_pub = self.create_publisher(FingerDesign, "/finger_design", qos.LATCHED)
+        self._marker_pub = self.create_publisher(MarkerArray, "/markers", 2)
+        self.create_subscription(
+            JointCommand, "/joint_command", self._on_joint_command, qos.JOINT_COMMAND_REQUESTED
+        )
+        self.create_subscription(
+            GripperCommand, "/gripper_command", self._on_gripper_command, qos.JOINT_COMMAND_REQUESTED
+        )
+        self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
+        self.create_service(ResetSimulation, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/resume", self._on_resume)
+
+    # --- time
+
+    def _stamp(self) -> Any:
+        if self._lockstep:
+            return stamp_of(self._tick * TICK_NS)
+        return self.get_clock().now().to_msg()
+
+    def _on_timer(self) -> None:
+        if not self._paused and not self._error:
+            self._advance()
+
+    def _advance_if_ready(self) -> None:
+        """Lockstep: goes on once both commands of this tick are there."""
+        now = self._tick * TICK_NS
+        if self._paused or self._error or set(self._commands.values()) != {now}:
+            return
+        if len(self._commands) == 2:
+            self._commands.clear()
+            self._advance()
+
+    def _advance(self) -> None:
+        started = time.monotonic()
+        try:
+            self._cell.tick(TICK_NS * 1e-9)
+        except Exception as error:  # the state is no longer to be trusted until a reset
+            self._error = f"{type(error).__name__}: {error}"
+            self.get_logger().error(f"simulation stopped, call ~/reset: {self._error}")
+            return
+        self._tick += 1
+        self._publish_state()
+        elapsed = time.monotonic() - started
+        self._busy += elapsed
+        self._overruns += elapsed > TICK_NS * 1e-9
+
+    def _republish(self) -> None:
+        """Lockstep: a lost message must not stop the world."""
+        if time.monotonic() - self._sent_at > REPUBLISH_AFTER:
+            self._publish_state()
+
+    # --- output
+
+    def _publish_state(self) -> None:
+        self._sent_at = time.monotonic()
+        stamp = self._stamp()
+        if self._clock_pub is not None:
+            self._clock_pub.publish(Clock(clock=stamp))
+        # The block and the gripper first: who acts on the joint state finds the rest there.
+        if self._tick % STRESS_TICKS == 0:
+            self._publish_truth(stamp)
+        if self._tick % POSE_TICKS == 0:
+            self._publish_object_pose(stamp)
+        self._publish_gripper(stamp)
+        self._publish_joints(stamp)
+        if self._tick % MARKER_TICKS == 0:
+            self._publish_markers()
+
+    def _publish_joints(self, stamp: Any) -> None:
+        message = JointState(
+            name=[f"joint{k + 1}" for k in range(7)],
+            position=self._cell.joint_position.tolist(),
+            velocity=self._cell.joint_velocity.tolist(),
+        )
+        message.header.stamp = stamp
+        self._joint_pub.publish(message)
+
+    def _publish_gripper(self, stamp: Any) -> None:
+        gripper = self._cell.gripper
+        message = GripperState(
+            width=gripper.width,
+            velocity=self._cell.gripper_velocity,
+            target_width=self._cell.width_command,
+            drive_joint=gripper.drive_joint(gripper.width),
+            moving=abs(self._cell.gripper_velocity) > 1e-6,
+        )
+        message.header.stamp = stamp
+        self._gripper_pub.publish(message)
+
+    def _publish_object_pose(self, stamp: Any) -> None:
+        position, quaternion = self._cell.simulator.object_pose()
+        message = PoseStamped(pose=messages.pose(position[0], quaternion[0]))
+        message.header.stamp = stamp
+        message.header.frame_id = "link_base"
+        self._pose_pub.publish(message)
+
+    def _publish_truth(self, stamp: Any) -> None:
+        simulator = self._cell.simulator
+        stress, contact = simulator.stress(), simulator.contact()
+        message = Stress(
+            measure=Stress.CAUCHY,
+            top10_mean=float(stress.top10_mean[0]),
+            mean=float(stress.mean[0]),
+            median=float(stress.median[0]),
+            von_mises=messages.floats(stress.von_mises[0]),
+            left_force=messages.vector3(contact.left[0]),
+            right_force=messages.vector3(contact.right[0]),
+            table_force=messages.vector3(contact.table[0]),
+            finger_penetration=float(contact.finger_penetration[0]),
+            table_penetration=float(contact.table_penetration[0]),
+        )
+        message.header.stamp = stamp
+        message.header.frame_id = "link_base"
+        self._stress_pub.publish(message)
+        left, right = self._finger_poses()
+        state = SimulationState(
+            positions=messages.floats(simulator.positions[0]), left_finger=left, right_finger=right
+        )
+        state.header = message.header
+        self._state_pub.publish(state)
+
+    def _finger_poses(self) -> tuple[Any, Any]:
+        from scipy.spatial.transform import Rotation
+
+        position, quaternion = self._cell.grasp_pose()
+        opening = Rotation.from_quat(quaternion).apply([0.0, self._cell.gripper.width / 2.0, 0.0])
+        return (
+            messages.pose(position + opening, quaternion),
+            messages.pose(position - opening, quaternion),
+        )
+
+    def _publish_markers(self) -> None:
+        if self._marker_pub.get_subscription_count() == 0:
+            return
+        simulator = self._cell.simulator
+        stress = simulator.stress().von_mises[0]
+        self._marker_pub.publish(self._markers.serialized(simulator.positions[0], stress))
+        left, right = self._finger_poses()
+        self._marker_pub.publish(
+            scene_markers(self._cell.fingers, left, right, self._cell.config.table_height)
+        )
+
+    def _publish_mesh(self, domain: TrialDomain) -> None:
+        simulator = self._cell.simulator
+        message = SoftBodyMesh(
+            rest_positions=messages.floats(simulator.rest_positions),
+            tetrahedra=messages.indices(simulator.tetrahedra),
+            surface_triangles=messages.indices(simulator.surface_triangles),
+            surface_tetrahedra=messages.indices(simulator.surface_tetrahedra),
+            domain=messages.domain_message(domain),
+        )
+        message.header.stamp = self._stamp()
+        message.header.frame_id = "tofu"
+        self._mesh_pub.publish(message)
+
+    def _publish_design(self) -> None:
+        message = messages.design_message(self._cell.fingers)
+        message.header.stamp = self._stamp()
+        self._design_pub.publish(message)
+
+    # --- input
+
+    def _on_joint_command(self, message: JointCommand) -> None:
+        try:
+            self._cell.command_joints(np.array(message.position))
+        except ValueError as error:
+            self._reject(error)
+            return
+        if self._lockstep:
+            self._commands["arm"] = nanoseconds(message.header.stamp)
+            self._advance_if_ready()
+
+    def _on_gripper_command(self, message: GripperCommand) -> None:
+        try:
+            self._cell.command_width(message.width, message.speed)
+        except ValueError as error:
+            self._reject(error)
+            return
+        if self._lockstep:
+            self._commands["gripper"] = nanoseconds(message.header.stamp)
+            self._advance_if_ready()
+
+    def _reject(self, error: ValueError) -> None:
+        self._rejected += 1
+        self.get_logger().warning(f"rejected: {error}", throttle_duration_sec=1.0)
+
+    def _on_design(self, message: FingerDesign) -> None:
+        if message.content_hash == self._cell.fingers.content_hash:
+            return
+        try:
+            fingers = messages.design_from(message)
+            self._cell.set_fingers(fingers)
+        except ValueError as error:
+            self._reject(error)
+            return
+        self.get_logger().info(f"fingers {fingers.name} ({fingers.content_hash[:12]})")
+
+    # --- services
+
+    def _on_reset(
+        self, request: ResetSimulation.Request, response: ResetSimulation.Response
+    ) -> ResetSimulation.Response:
+        try:
+            domain = draw_domain(int(request.seed), messages.domain_from(request.domain))
+            self._reset(domain)
+        except ValueError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self._paused = bool(request.paused) and self._lockstep
+        response.success, response.domain = True, messages.domain_message(domain)
+        response.message = "block on the table, arm in its start posture"
+        self._publish_state()
+        return response
+
+    def _reset(self, domain: TrialDomain) -> None:
+        self._cell.reset(domain)
+        self._error = ""
+        self._commands.clear()
+        # Time never stands still between trials, and the next one begins on a stress tick, so
+        # that what is published when does not depend on how long the last one took.
+        self._tick = (self._tick // MARKER_TICKS + 1) * MARKER_TICKS
+        self._publish_mesh(domain)
+
+    def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._paused = True
+        response.success = True
+        return response
+
+    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._paused = False
+        response.success = not self._error
+        response.message = self._error
+        if self._lockstep:
+            self._advance_if_ready()
+        return response
+
+    def _report(self) -> tuple[bytes, str, dict[str, Any]]:
+        now = time.monotonic()
+        simulated = (self._tick - self._report_tick) * TICK_NS * 1e-9
+        values = {
+            "real_time_factor": round(simulated / max(now - self._report_at, 1e-9), 3),
+            "busy_share": round(self._busy / max(now - self._report_at, 1e-9), 3),
+            "overruns": self._overruns,
+            "commands_rejected": self._rejected,
+            "paused": self._paused,
+        }
+        self._busy, self._report_at, self._report_tick = 0.0, now, self._tick
+        if self._error:
+            return DiagnosticStatus.ERROR, self._error, values
+        waiting = self._lockstep and not self._paused and now - self._sent_at > 1.0
+        if waiting:
+            return DiagnosticStatus.WARN, "waiting for /joint_command and /gripper_command", values
+        return DiagnosticStatus.OK, "running", values
+
+
+def main() -> None:
+    """Runs the node."""
+    run(FemSimulator)

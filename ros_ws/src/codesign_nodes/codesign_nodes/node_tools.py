@@ -1,0 +1,123 @@
+"""What every node needs: parameters with a description and a range, diagnostics, a main function."""
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.time import Time
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+) -> Any:
+    """Declares a read-only parameter and returns its value.
+
+    A value of the wrong type or outside [low, high] makes the node fail to start, with a message
+    that names it.
+    """
+    descriptor = ParameterDescriptor(description=description, read_only=True)
+    if low is not None and high is not None:
+        if isinstance(default, float):
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(low), to_value=float(high))
+            ]
+        else:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    value = node.declare_parameter(name, default, descriptor).value
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"parameter {name} {value}: must be finite")
+    return value
+
+
+def seconds(stamp: Any) -> float:
+    """A message stamp in seconds; exact to a microsecond for the current epoch."""
+    return stamp.sec + stamp.nanosec * 1e-9
+
+
+def nanoseconds(stamp: Any) -> int:
+    """A message stamp as a whole number of nanoseconds."""
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def stamp_of(nanoseconds_: int) -> Any:
+    """The message stamp of a whole number of nanoseconds."""
+    return Time(nanoseconds=nanoseconds_).to_msg()
+
+
+class Diagnostics:
+    """Publishes one status a second on /diagnostics.
+
+    Args:
+        node: its owner.
+        report: gives (level, message, values) when asked.
+    """
+
+    def __init__(
+        self, node: Node, report: Callable[[], tuple[bytes, str, dict[str, Any]]]
+    ) -> None:
+        self._node = node
+        self._report = report
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._timer = node.create_timer(1.0, self.publish, clock=steady_clock())
+
+    def publish(self) -> None:
+        """Publishes now."""
+        level, message, values = self._report()
+        status = DiagnosticStatus(
+            level=level,
+            name=self._node.get_fully_qualified_name(),
+            message=message,
+            hardware_id="codesign",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+
+def steady_clock() -> Any:
+    """The clock of watchdogs and timers: never jumps, runs without /clock."""
+    from rclpy.clock import Clock, ClockType
+
+    return Clock(clock_type=ClockType.STEADY_TIME)
+
+
+def run(make_node: Callable[[], Node]) -> None:
+    """Runs one node until SIGINT or SIGTERM; the main function of every executable.
+
+    Exits with 0 when stopped by a signal, with 1 and one line on an error.
+    """
+    rclpy.init()
+    node: Node | None = None
+    code = 0
+    try:
+        node = make_node()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except Exception as error:
+        name = node.get_name() if node else make_node.__name__
+        print(f"{name}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        code = 1
+    finally:
+        if node is not None:
+            close = getattr(node, "close", None)
+            if close is not None:
+                close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    sys.exit(code)

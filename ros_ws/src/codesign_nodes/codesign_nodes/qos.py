@@ -1,0 +1,52 @@
+"""Quality of service of the graph, in one place. The README's table states the same."""
+
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+
+def command(deadline: float) -> QoSProfile:
+    """Actions, commands and poses: only the newest counts, and it must arrive.
+
+    Args:
+        deadline: longest time between two messages [s]; a subscription asks for no less than
+            what the publisher offers.
+    """
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        deadline=Duration(seconds=deadline),
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=Duration(seconds=2.0),
+    )
+
+
+# What the publishers offer is kept a little, so that a recorder which asks for reliable delivery
+# loses nothing; control loops ask for STATE.
+STATE_OFFERED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE
+)
+STATE = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+# For consumers that must see every message: metrics and status.
+EVERY = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.RELIABLE
+)
+
+# Longest time between two messages [s]: offered by the publisher, asked for by the subscriber.
+ACTION_OFFERED, ACTION_REQUESTED = command(0.10), command(0.15)
+JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05), command(0.10)
+POSE_OFFERED, POSE_REQUESTED = command(0.10), command(0.20)

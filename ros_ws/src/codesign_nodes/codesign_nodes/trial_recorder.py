@@ -1,0 +1,260 @@
+"""Node trial_recorder: every topic of the graph, as it came over the wire, into a rosbag2 MCAP.
+
+Messages are not decoded. A thread of its own writes them, so that a slow or full disk never
+reaches the control loop. Types, type hashes and the offered QoS are stored with each topic.
+"""
+
+import importlib
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+from codesign_interfaces.srv import StartRecording, StopRecording
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from codesign_nodes.node_tools import Diagnostics, declare, run, steady_clock
+
+DEPTH = 1000  # messages that a subscription may keep while the executor is busy
+QUEUE = 20_000  # messages that may wait for the disk
+
+
+class TrialRecorder(Node):
+    """Records between the services ~/start and ~/stop."""
+
+    def __init__(self) -> None:
+        super().__init__("trial_recorder")
+        self._excluded = set(
+            declare(self, "exclude", ["/parameter_events"], "topics that are not recorded")
+        )
+        self._types = _type_store()
+        self._subscriptions_by_topic: dict[str, Any] = {}
+        self._latched: dict[str, bytes] = {}
+        self._unknown: set[str] = set()
+        self._bag: BagWriter | None = None
+        self.create_service(StartRecording, "~/start", self._on_start)
+        self.create_service(StopRecording, "~/stop", self._on_stop)
+        # Topics are subscribed to all the time: a trial's first message must not be lost to
+        # discovery.
+        self._timer = self.create_timer(0.25, self._discover, clock=steady_clock())
+        self._diagnostics = Diagnostics(self, self._report)
+
+    def _discover(self) -> None:
+        for topic, types in self.get_topic_names_and_types():
+            known = topic in self._subscriptions_by_topic or topic in self._unknown
+            if known or topic in self._excluded or not types:
+                continue
+            offered = self.get_publishers_info_by_topic(topic)
+            if offered:
+                self._subscribe(topic, types[0], offered[0].qos_profile)
+
+    def _subscribe(self, topic: str, type_name: str, offered: QoSProfile) -> None:
+        try:
+            message_type = _message_class(type_name)
+        except (ImportError, AttributeError) as error:
+            self._unknown.add(topic)
+            self.get_logger().warning(f"{topic} is not recorded: {error}")
+            return
+        latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        requested = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=DEPTH,
+            reliability=offered.reliability,
+            durability=offered.durability,
+        )
+
+        def receive(data: bytes) -> None:
+            if latched:
+                self._latched[topic] = data
+            if self._bag is not None:
+                self._bag.put(topic, self.get_clock().now().nanoseconds, data)
+
+        self._subscriptions_by_topic[topic] = (
+            self.create_subscription(message_type, topic, receive, requested, raw=True),
+            type_name,
+            offered,
+        )
+
+    def _on_start(
+        self, request: StartRecording.Request, response: StartRecording.Response
+    ) -> StartRecording.Response:
+        if self._bag is not None:
+            response.message = f"already recording {self._bag.path}: call ~/stop first"
+            return response
+        path = Path(request.uri)
+        if path.exists() or not path.name:
+            response.message = f"bag {request.uri!r}: exists already, choose a new folder"
+            return response
+        self._discover()
+        try:
+            self._bag = BagWriter(path, self._types, self._topic_info)
+        except OSError as error:
+            response.message = f"bag {path}: {error}"
+            return response
+        now = self.get_clock().now().nanoseconds
+        for topic, data in self._latched.items():
+            self._bag.put(topic, now, data)
+        response.success, response.message = True, str(path)
+        return response
+
+    def _topic_info(self, topic: str) -> tuple[str, QoSProfile]:
+        _, type_name, offered = self._subscriptions_by_topic[topic]
+        return type_name, offered
+
+    def _on_stop(
+        self, _: StopRecording.Request, response: StopRecording.Response
+    ) -> StopRecording.Response:
+        if self._bag is None:
+            response.message = "not recording"
+            return response
+        bag, self._bag = self._bag, None
+        bag.close()
+        response.success, response.message = not bag.error, bag.error or str(bag.path)
+        response.messages = bag.written
+        return response
+
+    def close(self) -> None:
+        """Finishes an open bag."""
+        if self._bag is not None:
+            self._bag.close()
+
+    def _report(self) -> tuple[bytes, str, dict[str, Any]]:
+        values: dict[str, Any] = {"topics": len(self._subscriptions_by_topic)}
+        if self._bag is None:
+            return DiagnosticStatus.OK, "idle", values
+        values |= {"bag": self._bag.path, "written": self._bag.written, "lost": self._bag.lost}
+        if self._bag.error or self._bag.lost:
+            return DiagnosticStatus.ERROR, self._bag.error or "the disk is too slow", values
+        return DiagnosticStatus.OK, "recording", values
+
+
+class BagWriter:
+    """Writes serialised messages to a bag on its own thread."""
+
+    def __init__(
+        self, path: Path, types: Any, topic_info: Callable[[str], tuple[str, QoSProfile]]
+    ) -> None:
+        """Creates the folder.
+
+        Args:
+            path: of the bag; must not exist.
+            types: rosbags type store that knows every type.
+            topic_info: type name and offered QoS of a topic.
+
+        Raises:
+            OSError: the folder cannot be made.
+        """
+        self.path = path
+        self.error = ""
+        self.written = 0
+        self.lost = 0
+        self._types = types
+        self._topic_info = topic_info
+        self._connections: dict[str, Any] = {}
+        self._queue: queue.Queue[tuple[str, int, bytes] | None] = queue.Queue(QUEUE)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        self._thread = threading.Thread(target=self._write_all, name="bag", daemon=True)
+        self._thread.start()
+
+    def put(self, topic: str, time_ns: int, data: bytes) -> None:
+        """Hands a message over; never waits."""
+        try:
+            self._queue.put_nowait((topic, time_ns, data))
+        except queue.Full:
+            self.lost += 1
+
+    def close(self) -> None:
+        """Writes what is left and finishes the file."""
+        self._queue.put(None)
+        self._thread.join()
+
+    def _write_all(self) -> None:
+        while (item := self._queue.get()) is not None:
+            if not self.error:
+                self._guarded(lambda item=item: self._write(*item))
+        self._guarded(self._writer.close)
+
+    def _guarded(self, do: Callable[[], None]) -> None:
+        try:
+            do()
+        except Exception as error:  # a full disk must not end the node
+            self.error = self.error or f"{type(error).__name__}: {error}"
+
+    def _write(self, topic: str, time_ns: int, data: bytes) -> None:
+        if topic not in self._connections:
+            type_name, offered = self._topic_info(topic)
+            self._connections[topic] = self._writer.add_connection(
+                topic,
+                type_name,
+                typestore=self._types,
+                serialization_format="cdr",
+                offered_qos_profiles=[_bag_qos(offered)],
+            )
+        self._writer.write(self._connections[topic], time_ns, data)
+        self.written += 1
+
+
+def _message_class(type_name: str) -> Any:
+    """The class of "package/msg/Name"."""
+    package, kind, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
+
+
+def _type_store() -> Any:
+    """Jazzy's types and ours."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    ours: dict[str, Any] = {}
+    for path in Path(get_package_share_directory("codesign_interfaces"), "msg").glob("*.msg"):
+        ours |= get_types_from_msg(path.read_text(), f"codesign_interfaces/msg/{path.stem}")
+    store.register(ours)
+    return store
+
+
+def _bag_qos(profile: QoSProfile) -> Qos:
+    def duration(value: Any) -> QosTime:
+        return QosTime(*divmod(value.nanoseconds, 1_000_000_000))
+
+    history = (
+        QosHistory.KEEP_ALL if profile.history == HistoryPolicy.KEEP_ALL else QosHistory.KEEP_LAST
+    )
+    reliable = profile.reliability == ReliabilityPolicy.RELIABLE
+    latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    manual = profile.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
+    return Qos(
+        history=history,
+        depth=max(profile.depth, 1),
+        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=duration(profile.deadline),
+        lifespan=duration(profile.lifespan),
+        liveliness=QosLiveliness.MANUAL_BY_TOPIC if manual else QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=duration(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def main() -> None:
+    """Runs the node."""
+    run(TrialRecorder)

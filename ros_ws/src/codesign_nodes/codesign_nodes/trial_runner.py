@@ -1,0 +1,326 @@
+"""Node trial_runner: one trial as one action: reset, start, wait, judge, record.
+
+With a simulator in the graph the object and the arm are reset through it; without one the arm
+moves to its start posture and a person puts the object there.
+"""
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from codesign_interfaces.action import MoveTo, RunTrial
+from codesign_interfaces.msg import PolicyStatus, Stress, TrialDomain, TrialMetrics, TrialState
+from codesign_interfaces.srv import ResetSimulation, StartRecording, StopRecording
+from codesign_policy.metrics import GraspMetrics, grasp_metrics
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from codesign_nodes import messages, qos
+from codesign_nodes.node_tools import Diagnostics, declare, nanoseconds, run, steady_clock
+
+
+class TrialError(RuntimeError):
+    """A step of the trial failed; the message says which and why."""
+
+
+@dataclass
+class TrialLog:
+    """What the metrics need, by stamp in nanoseconds."""
+
+    stress: dict[int, Stress] = field(default_factory=dict)
+    height: dict[int, float] = field(default_factory=dict)
+    start: int | None = None
+    end: int | None = None
+
+
+class TrialRunner(Node):
+    """Serves the action /run_trial, one goal at a time."""
+
+    def __init__(self) -> None:
+        super().__init__("trial_runner")
+        self._timeout = declare(
+            self, "timeout", 30.0, "longest time of the policy [s]", low=1.0, high=600.0
+        )
+        self._service_timeout = declare(
+            self, "service_timeout", 5.0, "longest wait for a service [s]", low=0.1, high=60.0
+        )
+        self._simulated = declare(self, "simulated", True, "the graph has a fem_simulator")
+        self._silence = declare(
+            self,
+            "policy_silence",
+            3.0,
+            "without any word from the policy for this long, or at fault for this long, the trial "
+            "fails [s]",
+            low=0.5,
+            high=60.0,
+        )
+        self._lockstep = self.get_parameter("use_sim_time").value
+        self._goal: Any = None
+        self._state = TrialState(state=TrialState.IDLE)
+        self._log = TrialLog()
+        self._ended: Future | None = None
+        self._heard_at = self._good_at = 0.0
+        self._make_interfaces()
+        self._diagnostics = Diagnostics(self, self._report)
+
+    def _make_interfaces(self) -> None:
+        self._state_pub = self.create_publisher(TrialState, "/trial_state", qos.LATCHED)
+        self.create_subscription(PolicyStatus, "/policy/status", self._on_policy, qos.EVERY)
+        self.create_subscription(Stress, "/stress", self._on_stress, qos.EVERY)
+        self.create_subscription(PoseStamped, "/object_pose", self._on_pose, qos.EVERY)
+        self._reset = self.create_client(ResetSimulation, "/fem_simulator/reset")
+        self._pause = self.create_client(Trigger, "/fem_simulator/pause")
+        self._resume = self.create_client(Trigger, "/fem_simulator/resume")
+        self._enable = self.create_client(SetBool, "/cartesian_controller/enable")
+        self._move_to = ActionClient(self, MoveTo, "/cartesian_controller/move_to")
+        self._start_policy = self.create_client(Trigger, "/policy/start")
+        self._stop_policy = self.create_client(Trigger, "/policy/stop")
+        self._start_recording = self.create_client(StartRecording, "/trial_recorder/start")
+        self._stop_recording = self.create_client(StopRecording, "/trial_recorder/stop")
+        self._server = ActionServer(
+            self,
+            RunTrial,
+            "/run_trial",
+            execute_callback=self._execute,
+            goal_callback=self._on_goal,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        self._timer = self.create_timer(0.1, self._watch, clock=steady_clock())
+
+    # --- what goes by
+
+    def _on_policy(self, message: PolicyStatus) -> None:
+        self._heard_at = time.monotonic()
+        if message.state != PolicyStatus.FAULT:
+            self._good_at = self._heard_at
+        if self._ended is None:
+            return
+        stamp = nanoseconds(message.header.stamp)
+        if message.state == PolicyStatus.RUNNING and self._log.start is None:
+            self._log.start = stamp
+        if message.state == PolicyStatus.DONE and self._log.end is None:
+            self._log.end = stamp
+            self._end("")
+
+    def _on_stress(self, message: Stress) -> None:
+        if self._ended is not None:
+            self._log.stress[nanoseconds(message.header.stamp)] = message
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        if self._ended is not None:
+            self._log.height[nanoseconds(message.header.stamp)] = message.pose.position.z
+
+    def _watch(self) -> None:
+        """Ends a trial that cannot end by itself; feeds the goal's feedback."""
+        if self._ended is None or self._ended.done():
+            return
+        now = time.monotonic()
+        self._state.elapsed = self._elapsed()
+        self._publish_state()
+        self._goal.publish_feedback(RunTrial.Feedback(state=self._state))
+        limit = self._goal.request.timeout or self._timeout
+        if self._goal.is_cancel_requested:
+            self._end("canceled")
+        elif self._state.elapsed > limit:
+            self._end(f"the policy was not done after {limit} s")
+        elif now - self._heard_at > self._silence:
+            self._end(f"no word from the policy for {self._silence} s")
+        elif now - self._good_at > self._silence:
+            self._end(f"the policy was at fault for {self._silence} s")
+
+    def _elapsed(self) -> float:
+        """Since the policy's start, by the stamps of what was observed [s]."""
+        if self._log.start is None or not self._log.height:
+            return 0.0
+        return max(0.0, (max(self._log.height) - self._log.start) * 1e-9)
+
+    def _end(self, why: str) -> None:
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_result(why)
+
+    # --- the action
+
+    def _on_goal(self, _: Any) -> GoalResponse:
+        return GoalResponse.REJECT if self._goal is not None else GoalResponse.ACCEPT
+
+    async def _execute(self, goal: Any) -> RunTrial.Result:
+        self._goal = goal
+        request = goal.request
+        result = RunTrial.Result(bag=request.bag)
+        recording = False
+        try:
+            self._set_state(TrialState.PREPARING, "", request)
+            result.domain = await self._prepare(request)
+            self._state.domain = result.domain
+            if request.bag:
+                await self._call(self._start_recording, StartRecording.Request(uri=request.bag))
+                recording = True
+            await self._let_policy_work(request)
+            result.metrics = self._metrics()
+            result.success = result.metrics.success
+            result.message = "picked up" if result.success else "not lifted and held"
+            self._state.metrics = result.metrics
+            self._set_state(TrialState.FINISHED, result.message, request)
+        except TrialError as error:
+            result.message = str(error)
+            self._set_state(TrialState.FAILED, result.message, request)
+        finally:
+            await self._finish(recording, result)
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif self._state.state == TrialState.FINISHED:
+            goal.succeed()
+        else:
+            goal.abort()
+        self._goal = None
+        return result
+
+    async def _prepare(self, request: RunTrial.Goal) -> TrialDomain:
+        domain = TrialDomain()
+        if self._simulated:
+            reset = ResetSimulation.Request(
+                seed=request.seed, domain=request.domain, paused=self._lockstep
+            )
+            domain = (await self._call(self._reset, reset)).domain
+        await self._call(self._enable, SetBool.Request(data=True))
+        if not self._simulated:
+            await self._go_home()
+        return domain
+
+    async def _go_home(self) -> None:
+        if not self._move_to.wait_for_server(self._service_timeout):
+            raise TrialError("cartesian_controller offers no move_to action")
+        goal = await self._move_to.send_goal_async(MoveTo.Goal(width=math.nan))
+        if not goal.accepted:
+            raise TrialError("cartesian_controller refused to move to the start posture")
+        result = (await goal.get_result_async()).result
+        if not result.success:
+            raise TrialError(f"start posture not reached: {result.message}")
+
+    async def _let_policy_work(self, request: RunTrial.Goal) -> None:
+        self._log = TrialLog()
+        self._heard_at = self._good_at = time.monotonic()
+        self._ended = Future()
+        self._set_state(TrialState.RUNNING, "", request)
+        try:
+            await self._call(self._start_policy, Trigger.Request())
+            if self._simulated and self._lockstep:
+                await self._call(self._resume, Trigger.Request())
+            why = await self._ended
+        finally:
+            self._ended = None
+        if why:
+            raise TrialError(why)
+        await self._samples_until_end()
+
+    async def _samples_until_end(self) -> None:
+        """The last stress may still be on its way when the policy says that it is done."""
+        for _ in range(20):
+            if max(self._log.stress, default=0) >= (self._log.end or 0):
+                return
+            await self._sleep(0.05)
+
+    async def _finish(self, recording: bool, result: RunTrial.Result) -> None:
+        """Stops everything that was started; a failure here must not hide the trial's."""
+        steps: list[tuple[Any, Any]] = []
+        if self._simulated and self._lockstep:
+            steps.append((self._pause, Trigger.Request()))
+        steps.append((self._stop_policy, Trigger.Request()))
+        steps.append((self._enable, SetBool.Request(data=False)))
+        if recording:
+            await self._sleep(0.2)  # what was just published is on its way to the recorder
+            steps.append((self._stop_recording, StopRecording.Request()))
+        for client, request in steps:
+            try:
+                await self._call(client, request)
+            except TrialError as error:
+                self.get_logger().error(str(error))
+                result.message += f"; {error}"
+
+    async def _call(self, client: Any, request: Any) -> Any:
+        """Calls a service; raises TrialError when it is absent, silent or says no."""
+        name = client.srv_name
+        if not client.wait_for_service(self._service_timeout):
+            raise TrialError(f"service {name} is not there after {self._service_timeout} s")
+        future = client.call_async(request)
+        timer = self.create_timer(self._service_timeout, future.cancel, clock=steady_clock())
+        response = await future
+        self.destroy_timer(timer)
+        if response is None:
+            raise TrialError(f"service {name} did not answer within {self._service_timeout} s")
+        if not response.success:
+            raise TrialError(f"{name}: {response.message}")
+        return response
+
+    async def _sleep(self, duration: float) -> None:
+        future = Future()
+
+        def wake() -> None:
+            if not future.done():
+                future.set_result(None)
+
+        timer = self.create_timer(duration, wake, clock=steady_clock())
+        await future
+        self.destroy_timer(timer)
+
+    # --- the judgement
+
+    def _metrics(self) -> TrialMetrics:
+        start, end = self._log.start, self._log.end
+        if start is None or end is None:
+            raise TrialError("the policy never said when it started or ended")
+        stamps = sorted(s for s in self._log.stress if start <= s <= end)
+        if len(stamps) < 2:
+            # A real arm has no stress to judge by.
+            return TrialMetrics(top10_stress=math.nan, median_stress=math.nan)
+        samples = [self._log.stress[s] for s in stamps]
+        pose_stamps = sorted(s for s in self._log.height if start <= s <= end)
+        times = (np.array(stamps) - start) * 1e-9
+        metrics = grasp_metrics(
+            times,
+            [s.top10_mean for s in samples],
+            [s.median for s in samples],
+            np.array([messages.from_xyz(s.left_force) for s in samples]),
+            np.array([messages.from_xyz(s.right_force) for s in samples]),
+            np.interp(
+                times,
+                (np.array(pose_stamps) - start) * 1e-9,
+                [self._log.height[s] for s in pose_stamps],
+            ),
+        )
+        return _metrics_message(metrics)
+
+    def _set_state(self, state: int, message: str, request: RunTrial.Goal) -> None:
+        self._state.state = state
+        self._state.message = message
+        self._state.gripper = request.gripper
+        self._state.seed = request.seed
+        if state == TrialState.PREPARING:
+            self._state.elapsed = 0.0
+            self._state.metrics = TrialMetrics()
+        self._publish_state()
+
+    def _publish_state(self) -> None:
+        self._state.header.stamp = self.get_clock().now().to_msg()
+        self._state_pub.publish(self._state)
+
+    def _report(self) -> tuple[bytes, str, dict[str, Any]]:
+        words = {0: "idle", 1: "preparing", 2: "running", 3: "finished", 4: "failed"}
+        failed = self._state.state == TrialState.FAILED
+        level = DiagnosticStatus.WARN if failed else DiagnosticStatus.OK
+        return level, self._state.message or words[self._state.state], {"seed": self._state.seed}
+
+
+def _metrics_message(metrics: GraspMetrics) -> TrialMetrics:
+    return TrialMetrics(**vars(metrics))
+
+
+def main() -> None:
+    """Runs the node."""
+    run(TrialRunner)

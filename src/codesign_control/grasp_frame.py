@@ -1,0 +1,45 @@
+"""The grasp frame: `link_tcp`, carried along tool z by the gripper's four-bar.
+
+While the gripper closes its fingers also move along z. Observations and actions speak of the
+grasp frame, which stays between the fingers; the arm makes up for the difference.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from codesign_control.gripper import GripperModel
+from codesign_control.pose import Pose
+from codesign_control.xarm7 import Xarm7
+
+
+def grasp_pose(arm: Xarm7, gripper: GripperModel, q: np.ndarray, width: float) -> Pose:
+    """The grasp frame in `link_base` at joints (7,) [rad] and gap [m]."""
+    tcp = arm.tcp_placement(q)
+    return Pose.from_se3(tcp * _shift(gripper.finger_z(gripper.clip(width))))
+
+
+def tcp_translation(
+    tcp: Pose,
+    gripper: GripperModel,
+    translation: np.ndarray,
+    rotation: np.ndarray,
+    width_before: float,
+    width_after: float,
+) -> np.ndarray:
+    """How far `link_tcp` has to move, (3,) [m], for a displacement of the grasp frame.
+
+    tcp: where `link_tcp` is going to be when the displacement starts.
+    translation, rotation: of the grasp frame in base axes, (3,) [m] and (3,) rotation vector [rad].
+    width_before, width_after: gap over the same time [m].
+    """
+    start = tcp.to_se3()
+    grasp = start * _shift(gripper.finger_z(gripper.clip(width_before)))
+    moved = pin.SE3(pin.exp3(rotation) @ grasp.rotation, grasp.translation + translation)
+    end = moved * _shift(gripper.finger_z(gripper.clip(width_after))).inverse()
+    return np.asarray(end.translation - start.translation)
+
+
+def _shift(z: float) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
