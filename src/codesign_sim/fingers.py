@@ -1,0 +1,122 @@
+"""Where the fingers are: targets, and the path between two of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from codesign_sim.checks import require_finite
+
+_UNIT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class FingerTargets:
+    """Pose of the grasp frame and opening width, per environment.
+
+    The grasp frame has its origin midway between the fingers at the height of the tool centre
+    point, x sideways, y along the opening, z along the approach (downwards in a grasp from
+    above). At width w the left finger's mesh is shifted by +w/2 along y, the right one's by -w/2.
+
+    Args:
+        position: (E, 3) or (3,) metres, world frame.
+        quaternion: (E, 4) or (4,) x, y, z, w of unit length.
+        width: (E,) or a number, metres.
+    Raises:
+        ValueError: wrong shapes, values that are not finite, a quaternion not of unit length.
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    width: np.ndarray
+
+    def __post_init__(self) -> None:
+        position = require_finite(
+            "finger position", np.atleast_2d(np.asarray(self.position, float)), (-1, 3), "m"
+        )
+        quaternion = require_finite(
+            "finger quaternion", np.atleast_2d(np.asarray(self.quaternion, float)), (-1, 4)
+        )
+        width = require_finite(
+            "finger width", np.atleast_1d(np.asarray(self.width, float)), (-1,), "m"
+        )
+        if not len(position) == len(quaternion) == len(width):
+            raise ValueError(
+                f"finger targets have {len(position)} positions, {len(quaternion)} quaternions "
+                f"and {len(width)} widths; give one of each per environment"
+            )
+        length = np.linalg.norm(quaternion, axis=1)
+        worst = float(length[np.argmax(np.abs(length - 1))])
+        if abs(worst - 1) > _UNIT_TOLERANCE:
+            raise ValueError(
+                f"finger quaternion has length {worst:g}, it must be 1 to {_UNIT_TOLERANCE:g}; "
+                "normalise it (order x, y, z, w)"
+            )
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "quaternion", quaternion / length[:, None])
+        object.__setattr__(self, "width", width)
+
+    @classmethod
+    def from_above(
+        cls, position: np.ndarray | tuple[float, ...], width: float | np.ndarray, yaw: float = 0.0
+    ) -> FingerTargets:
+        """Fingers pointing down, opening along world y turned by `yaw` (radians)."""
+        position = np.atleast_2d(np.asarray(position, dtype=float))
+        count = len(position)
+        # A half turn about x points z down; yaw turns the result about world z.
+        quaternion = np.array([np.cos(yaw / 2), np.sin(yaw / 2), 0.0, 0.0])
+        return cls(position, np.tile(quaternion, (count, 1)), np.broadcast_to(width, count))
+
+    def __len__(self) -> int:
+        return len(self.width)
+
+
+def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) in x, y, z, w order."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def turn_angle(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Angle (E,) in radians between unit quaternions."""
+    return 2 * np.arccos(np.clip(np.abs((start * end).sum(axis=-1)), 0, 1))
+
+
+def path(start: FingerTargets, end: FingerTargets, fractions: np.ndarray) -> np.ndarray:
+    """Finger poses (S, E, 2, 12) along the straight, constant-speed motion from start to end.
+
+    The last axis holds the rotation matrix row by row and the translation, metres; left finger
+    first.
+    """
+    s = fractions[:, None]
+    position = start.position + s[..., None] * (end.position - start.position)
+    width = start.width + s * (end.width - start.width)
+    if np.array_equal(start.quaternion, end.quaternion):
+        still = rotation_matrix(start.quaternion)
+        rotation = np.broadcast_to(still, (len(fractions), *still.shape))
+    else:
+        rotation = rotation_matrix(_slerp(start.quaternion, end.quaternion, s))
+    opening = rotation[..., :, 1] * (width / 2)[..., None]
+    poses = np.empty((len(fractions), len(start), 2, 12))
+    poses[..., :9] = rotation.reshape(*rotation.shape[:2], 1, 9)
+    poses[:, :, 0, 9:] = position + opening
+    poses[:, :, 1, 9:] = position - opening
+    return poses
+
+
+def _slerp(start: np.ndarray, end: np.ndarray, s: np.ndarray) -> np.ndarray:
+    end = np.where((start * end).sum(axis=-1, keepdims=True) < 0, -end, end)
+    angle = turn_angle(start, end)[:, None] / 2
+    s = s[..., None]
+    small = angle < 1e-6
+    sine = np.where(small, 1.0, np.sin(angle))
+    first = np.where(small, 1 - s, np.sin((1 - s) * angle) / sine)
+    second = np.where(small, s, np.sin(s * angle) / sine)
+    blend = first * start + second * end
+    return blend / np.linalg.norm(blend, axis=-1, keepdims=True)

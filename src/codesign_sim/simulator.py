@@ -1,0 +1,621 @@
+"""The simulator: a soft block, a table and two rigid fingers, many environments at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from codesign_sim import kernels
+from codesign_sim.block import Block
+from codesign_sim.checks import (
+    SimulationError,
+    require_finite,
+    require_not_negative,
+    require_per_environment,
+    require_positive,
+)
+from codesign_sim.distance import bake
+from codesign_sim.fingers import FingerTargets, path, turn_angle
+from codesign_sim.material import Material, stable_time_step
+from codesign_sim.mesh import SurfaceMesh
+from codesign_sim.stress import Stress, StressMeasure, summarise
+
+CONTACT_STIFFNESS = 9e6  # Pa of pressure per metre of penetration
+STIFFNESS_DAMPING = 2e-4  # s, beta: forces are evaluated at x + beta v
+MASS_DAMPING = 20.0  # 1/s, of the motion relative to the best rigid motion
+SAFETY = 0.8  # default time step, as a share of the stability limit
+CELL_SHARE = 0.4  # of a cell, the farthest a node may move in a step
+FINGER_TRAVEL = 1e-3  # m per step, the cell of the fingers' distance grid
+SETTLE_TIME = 0.25  # s
+SETTLE_DAMPING = 150.0  # 1/s, about critical for the slowest vibration of the tofu
+_CHUNK = 128  # steps per launch
+_FINGERS, _TABLE = 3, 4  # obstacle bits
+_EMPTY_GRID = np.ones((2, 2, 2), dtype=np.float32)
+
+Fingers = tuple[SurfaceMesh, SurfaceMesh]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactForces:
+    """Contact forces in N on the object, world frame, averaged over the last `advance`.
+
+    Attributes:
+        left, right, table: (E, 3).
+        finger_penetration: (E,) deepest point below a finger's surface at the end, metres.
+        table_penetration: (E,) deepest point below the table, metres.
+    """
+
+    left: np.ndarray
+    right: np.ndarray
+    table: np.ndarray
+    finger_penetration: np.ndarray
+    table_penetration: np.ndarray
+
+
+class Simulator:
+    """Explicit co-rotational finite elements in Warp (paper section III-C).
+
+    Args:
+        block: shape and mesh of the soft object.
+        fingers: (left, right) surfaces, or one such pair per environment, or None for no fingers.
+        environments: number of independent copies E, at least 1.
+        device: "cpu".
+        time_step: longest step in seconds; by default 0.8 of the stability limit, set at reset.
+        table_height: z of the table in the world, metres; None for no table.
+        gravity: (3,) m/s^2, world frame.
+        stiffness_damping: beta in seconds; 0 for none.
+        mass_damping: 1/s, acts on the motion relative to the block's rigid motion; 0 for none.
+        contact_stiffness: penalty in Pa per metre.
+    Raises:
+        ValueError: an argument outside these limits, a finger mesh that is not watertight.
+    """
+
+    def __init__(
+        self,
+        block: Block,
+        fingers: Fingers | Sequence[Fingers] | None = None,
+        environments: int = 1,
+        device: str = "cpu",
+        time_step: float | None = None,
+        table_height: float | None = 0.0,
+        gravity: tuple[float, float, float] = (0.0, 0.0, -9.81),
+        stiffness_damping: float = STIFFNESS_DAMPING,
+        mass_damping: float = MASS_DAMPING,
+        contact_stiffness: float = CONTACT_STIFFNESS,
+    ) -> None:
+        if device != "cpu":
+            raise ValueError(f"device is {device!r}; only 'cpu' is supported")
+        if int(environments) != environments or environments < 1:
+            raise ValueError(f"environments is {environments}; use a whole number of at least 1")
+        require_not_negative("stiffness damping", stiffness_damping, "s")
+        require_not_negative("mass damping", mass_damping, "1/s")
+        if time_step is not None:
+            require_positive("time step", time_step, (), "s")
+        if table_height is not None:
+            require_finite("table height", table_height, (), "m")
+        require_positive("contact stiffness", contact_stiffness, (), "Pa/m")
+
+        self.block = block
+        self.environments = int(environments)
+        self.table_height = table_height
+        self.gravity = require_finite("gravity", gravity, (3,), "m/s^2")
+        self.stiffness_damping = float(stiffness_damping)
+        self.mass_damping = float(mass_damping)
+        self.contact_stiffness = float(contact_stiffness)
+        self.time = 0.0
+        self.time_step = time_step or 0.0  # chosen at reset where the caller gave none
+        self._given_time_step = time_step
+        self._materials: list[Material] = []
+        self._fingers_at: FingerTargets | None = None
+        self._finger_radius = 0.0
+        self._has_fingers = False
+        self._broken = ""
+        self._launches: dict[str, Any] = {}
+
+        # Eight environments fill a vector; fewer than four are faster one after the other.
+        self._lanes = 8 if self.environments >= 4 else 1
+        self._groups = -(-self.environments // self._lanes)
+        self._allocate()
+        self.set_fingers(*_split(fingers))
+
+    # ------------------------------------------------------------------ set-up
+
+    def _allocate(self) -> None:
+        block, lanes, groups = self.block, self._lanes, self._groups
+        copies = kernels.ITEM_LANES if lanes == 1 else 1
+        width = kernels.ITEM_LANES if lanes == 1 else lanes
+        tets = _spread(len(block.tetrahedra), copies)
+        triangles = _packed(len(block.surface_triangles), copies)
+        nodes = _packed(len(block.nodes), copies)
+        # Lanes beyond the last node get rows of their own, so that no two lanes share one.
+        node_index = np.where(nodes < 0, len(block.nodes) + np.arange(copies), nodes)
+        self._tet_order = tets
+        self._rows = int(max(node_index.max() + 1, len(block.nodes)))
+
+        scene: Any = kernels.Scene()
+        scene.lanes, scene.groups = lanes, groups
+        scene.tet_items, scene.triangle_items = len(tets), len(triangles)
+        scene.node_items, scene.node_rows = len(nodes), self._rows
+        shapes = np.column_stack([block.inverse_edges.reshape(-1, 9), block.volumes])
+        shapes = _items(shapes, tets)
+        shapes[:, 9][tets < 0] = 0  # a repeated tetrahedron that fills a vector has no volume
+        scene.tet_nodes = _int_array(_items(block.tetrahedra, tets))
+        scene.tet_shapes = _float_array(shapes)
+        scene.triangle_nodes = _int_array(_items(block.surface_triangles, triangles))
+        areas = np.where(triangles < 0, 0, block.surface_areas[triangles])
+        scene.triangle_areas = _float_array(areas)
+        scene.node_order = _int_array(node_index)
+        self._node_layout = nodes
+        self._pinned = np.zeros(len(block.nodes), dtype=bool)
+
+        rows = groups * self._rows * 4 * lanes
+        for name in ("positions", "velocities", "ahead", "forces", "loads"):
+            setattr(scene, name, wp.zeros(rows, dtype=wp.float32, device="cpu"))
+        anchors = groups * 3 * len(triangles) * 3 * 4 * width
+        scene.anchors = wp.zeros(anchors, dtype=wp.float32, device="cpu")
+        scene.near_obstacle = wp.zeros(groups * len(triangles), dtype=wp.int32, device="cpu")
+        scene.centres = wp.zeros(groups * 3 * lanes, dtype=wp.float32, device="cpu")
+        scene.materials = wp.zeros(groups * 4 * lanes, dtype=wp.float32, device="cpu")
+        scene.poses = wp.zeros(_CHUNK * groups * 24 * lanes, dtype=wp.float32, device="cpu")
+        scene.reports = wp.zeros(groups * 12 * lanes, dtype=wp.float32, device="cpu")
+        scene.stresses = wp.zeros(groups * len(tets) * 2 * width, dtype=wp.float32, device="cpu")
+        scene.settings = wp.zeros(len(kernels.SETTINGS), dtype=wp.float32, device="cpu")
+        self._scene = scene
+        self._origin = np.zeros((self.environments, 3))
+        self._set_node_constants()
+
+    def _set_node_constants(self) -> None:
+        block = self.block
+        free = np.where(self._pinned, 0.0, 1.0)
+        constants = np.stack(
+            [
+                block.node_volumes / block.volume,
+                free / block.node_volumes,
+                free,
+                free * block.load_volumes / block.node_volumes,
+            ],
+            axis=1,
+        )
+        laid_out = _items(constants, self._node_layout)
+        laid_out = np.where((self._node_layout < 0)[:, None, :], 0, laid_out)
+        self._scene.node_constants = _float_array(laid_out)
+        self._launches = {}
+
+    def set_fingers(
+        self,
+        left: SurfaceMesh | Sequence[SurfaceMesh] | None,
+        right: SurfaceMesh | Sequence[SurfaceMesh] | None,
+    ) -> None:
+        """Swaps the fingers between trials: one mesh each, or one per environment.
+
+        Clears the friction anchors; the fingers are next placed where the next target says.
+        """
+        pairs = _pairs(left, right, self.environments)
+        self._has_fingers = pairs is not None
+        self._finger_radius = max((m.radius for p in pairs or () for m in p), default=0.0)
+        pool: list[np.ndarray] = []
+        offsets: dict[int, int] = {}
+        frames = np.zeros((self.environments, 2, 8))
+        indices = np.zeros((self.environments, 2, 3), dtype=int)
+        frames[..., 3] = 1.0
+        for environment, pair in enumerate(pairs or ()):
+            for side, mesh in enumerate(pair):
+                grid = bake(mesh)
+                if id(grid) not in offsets:
+                    offsets[id(grid)] = sum(v.size for v in pool)
+                    pool.append(grid.values)
+                nz, ny, nx = grid.values.shape
+                frames[environment, side, :3] = grid.origin
+                frames[environment, side, 3:7] = [1 / grid.spacing, nx - 1, ny - 1, nz - 1]
+                indices[environment, side] = [offsets[id(grid)], nx, nx * ny]
+        values = np.concatenate([v.ravel() for v in pool or [_EMPTY_GRID]])
+        self._scene.grids = _float_array(values)
+        self._scene.grid_frames = _float_array(self._grouped(frames))
+        self._scene.grid_indices = _int_array(self._grouped(indices))
+        self._scene.anchors.zero_()
+        self._fingers_at = None
+        self._launches = {}
+
+    def reset(
+        self,
+        materials: Material | Sequence[Material] = Material(),  # noqa: B008  (immutable)
+        position: Sequence[float] | np.ndarray = (0.0, 0.0),
+        yaw: float | np.ndarray = 0.0,
+        fingers: FingerTargets | None = None,
+        settle: bool = True,
+    ) -> None:
+        """Puts every block at rest on the table and the fingers at `fingers`.
+
+        Args:
+            materials: one for all, or one per environment.
+            position: (2,) or (E, 2) world x, y of the centre of the base, metres.
+            yaw: radians about world z, a number or (E,).
+            fingers: where the fingers are; None leaves them away until the first target, at
+                which they then appear.
+            settle: let the block sink under its weight until it rests (fingers away); otherwise
+                it starts undeformed, touching the table. Needs a table.
+        Raises:
+            ValueError: wrong shapes or values; a given time step above the stability limit.
+        """
+        count = self.environments
+        materials = [materials] * count if isinstance(materials, Material) else list(materials)
+        if len(materials) != count:
+            raise ValueError(f"got {len(materials)} materials for {count} environments")
+        place = require_per_environment("block position", position, count, (2,), "m")
+        turn = require_per_environment("yaw", yaw, count, (), "rad")
+        if fingers is not None:
+            self._check_count(fingers)
+        self._choose_time_step(materials)
+        self._materials = materials
+        values = [[*m.lame, m.density, m.friction] for m in materials]
+        self._scene.materials.assign(self._grouped(np.array(values)))
+
+        base = 0.0 if self.table_height is None else self.table_height
+        self._origin = np.column_stack([place, np.full(count, base)])
+        height = self.block.size[2]
+        rest = self.block.nodes + np.array([0, 0, height / 2])
+        local = np.repeat(rest[None], count, axis=0)
+        settle = settle and self.table_height is not None
+        if settle:
+            local[:, :, 2] += self._sag(materials, rest[:, 2])
+        cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        x, y = local[..., 0].copy(), local[..., 1].copy()
+        local[..., 0], local[..., 1] = cos * x - sin * y, sin * x + cos * y
+        self._broken = ""
+        self._scene.reports.zero_()
+        self._write_state(local, np.zeros_like(local))
+        self._fingers_at = None
+        if settle:
+            self._run(SETTLE_TIME, None, SETTLE_DAMPING, about_rigid=False)
+            self._scene.velocities.zero_()
+        self._fingers_at = fingers
+        self.time = 0.0
+
+    def _sag(self, materials: list[Material], z: np.ndarray) -> np.ndarray:
+        """Vertical displacement (E, N) of a column under its own weight, on a penalty table."""
+        weight = np.array([m.density for m in materials])[:, None] * -self.gravity[2]
+        modulus = np.array([m.young_modulus for m in materials])[:, None]
+        height = self.block.size[2]
+        return -weight * ((height * z - z**2 / 2) / modulus + height / self.contact_stiffness)
+
+    def _choose_time_step(self, materials: list[Material]) -> None:
+        limit = min(
+            stable_time_step(self.block, m, self.contact_stiffness, self.stiffness_damping)
+            for m in set(materials)
+        )
+        if self._given_time_step is not None and self._given_time_step > limit:
+            raise ValueError(
+                f"time step is {self._given_time_step * 1e3:g} ms; the stability limit for this "
+                f"mesh and material is {limit * 1e3:.3g} ms: use a shorter step or leave it out"
+            )
+        self.time_step = self._given_time_step or SAFETY * limit
+
+    def pin(self, nodes: Sequence[int] | np.ndarray) -> None:
+        """Holds nodes where they are (in every environment); an empty list frees all."""
+        index = np.asarray(nodes, dtype=int)
+        self._pinned[:] = False
+        self._pinned[index] = True
+        self._set_node_constants()
+
+    def set_loads(self, forces: np.ndarray) -> None:
+        """Constant extra forces on the nodes, (N, 3) or (E, N, 3) in N."""
+        shape = (self.environments, len(self.block.nodes), 3)
+        forces = require_finite("loads", np.broadcast_to(forces, shape), shape, "N")
+        self._scene.loads.assign(self._node_rows(forces))
+
+    def set_state(self, positions: np.ndarray, velocities: np.ndarray) -> None:
+        """Node positions and velocities, (E, N, 3) each, world frame, m and m/s.
+
+        Friction anchors are cleared.
+        """
+        self._require_reset()
+        shape = (self.environments, len(self.block.nodes), 3)
+        positions = require_finite("positions", positions, shape, "m")
+        velocities = require_finite("velocities", velocities, shape, "m/s")
+        self._write_state(positions - self._origin[:, None], velocities)
+
+    # ---------------------------------------------------------------- stepping
+
+    def advance(self, duration: float, targets: FingerTargets | None = None) -> None:
+        """Moves the fingers to `targets` at constant velocity while the block follows.
+
+        The time step is shortened so that a whole number of steps makes up the duration.
+
+        Args:
+            duration: seconds, above 0.
+            targets: where the fingers are at the end; None keeps them where they are. The first
+                targets after a reset without fingers place them without a motion.
+        Raises:
+            ValueError: a target that is too far for the duration, or for other environments.
+            SimulationError: not reset yet, or the state stopped being finite.
+        """
+        self._require_reset()
+        require_positive("duration", duration, (), "s")
+        if targets is not None:
+            self._check_count(targets)
+            if not self._has_fingers:
+                raise ValueError("finger targets given, but the simulator has no fingers")
+        self._run(duration, targets, self.mass_damping, about_rigid=True)
+        self.time += duration
+
+    def _run(
+        self, duration: float, targets: FingerTargets | None, damping: float, about_rigid: bool
+    ) -> None:
+        substeps = max(1, int(np.ceil(duration / self.time_step - 1e-6)))
+        dt = duration / substeps
+        end = targets or self._fingers_at
+        start = self._fingers_at or end
+        speed = self._finger_speed(start, end, duration, dt)
+        obstacles = (_FINGERS if end is not None and self._has_fingers else 0) | (
+            _TABLE if self.table_height is not None else 0
+        )
+        settings = {
+            "time_step": dt,
+            "stiffness_damping": self.stiffness_damping,
+            "mass_damping": damping,
+            "damp_about_rigid": float(about_rigid),
+            "gravity_x": self.gravity[0],
+            "gravity_y": self.gravity[1],
+            "gravity_z": self.gravity[2],
+            "top_speed": CELL_SHARE * self.block.smallest_edge / self.time_step,
+            "contact_stiffness": self.contact_stiffness,
+            "obstacles": obstacles,
+            "finger_speed": speed,
+            "near_margin": 1.5 * float(np.max(np.array(self.block.size) / self.block.cells)) + 1e-3,
+        }
+        totals = np.zeros((self.environments, 3, 3))
+        for first in range(0, substeps, _CHUNK):
+            count = min(_CHUNK, substeps - first)
+            if start is not None and end is not None:
+                # Forces act at x + beta v, so the fingers, too, are taken a time beta ahead.
+                ahead = (np.arange(first, first + count) * dt + self.stiffness_damping) / duration
+                self._write_poses(path(start, end, ahead))
+            values = {**settings, "substeps": count}
+            self._scene.settings.assign(
+                np.array([values[k] for k in kernels.SETTINGS], dtype=np.float32)
+            )
+            self._launch(kernels.advance_kernel)
+            totals += count * self._report()[:, :, :3]
+        self._mean_forces = totals / substeps
+        self._fingers_at = end
+        self._check_state()
+
+    def _finger_speed(
+        self, start: FingerTargets | None, end: FingerTargets | None, duration: float, dt: float
+    ) -> float:
+        if start is None or end is None:
+            return 0.0
+        reach = self._finger_radius + np.maximum(np.abs(start.width), np.abs(end.width)) / 2
+        travel = (
+            np.linalg.norm(end.position - start.position, axis=1)
+            + np.abs(end.width - start.width) / 2
+            + turn_angle(start.quaternion, end.quaternion) * reach
+        )
+        speed = float(travel.max()) / duration
+        if speed * dt > FINGER_TRAVEL:
+            raise ValueError(
+                f"fingers move {speed * dt * 1e3:.2f} mm per step of {dt * 1e3:.3g} ms; the limit "
+                f"is {FINGER_TRAVEL * 1e3:g} mm ({FINGER_TRAVEL / dt:.2g} m/s): "
+                "move less or take longer"
+            )
+        return speed
+
+    def _check_state(self) -> None:
+        sums = self._scene.positions.numpy().sum() + self._scene.velocities.numpy().sum()
+        if not np.isfinite(sums):
+            self._broken = (
+                f"the block's state is not finite after {self.time:g} s; reset, and use a shorter "
+                f"time step than {self.time_step * 1e3:g} ms or gentler finger motions"
+            )
+            raise SimulationError(self._broken)
+
+    # ----------------------------------------------------------------- results
+
+    def stress(self, measure: StressMeasure = StressMeasure.COROTATED) -> Stress:
+        """Von Mises stress of every tetrahedron now, and its summary (section III-C)."""
+        self._require_reset()
+        measure = StressMeasure(measure)
+        self._launch(kernels.stress_kernel)
+        width = kernels.ITEM_LANES if self._lanes == 1 else self._lanes
+        values = self._scene.stresses.numpy().reshape(self._groups, -1, 2, width)
+        values = values[:, :, 0 if measure is StressMeasure.CAUCHY else 1]
+        if self._lanes == 1:
+            values = values.reshape(self._groups, -1)[:, np.argsort(_filled(self._tet_order))]
+            values = values[:, : len(self.block.tetrahedra)]
+        else:
+            values = values.transpose(0, 2, 1).reshape(-1, values.shape[1])
+        chosen = values[: self.environments].astype(np.float64)
+        return summarise(chosen, self.block.volumes, measure)
+
+    def contact(self) -> ContactForces:
+        """Contact forces of the last `advance`."""
+        self._require_reset()
+        depth = self._report()[:, :, 3]
+        forces = self._mean_forces
+        return ContactForces(
+            left=forces[:, 0].copy(),
+            right=forces[:, 1].copy(),
+            table=forces[:, 2].copy(),
+            finger_penetration=depth[:, :2].max(axis=1),
+            table_penetration=depth[:, 2].copy(),
+        )
+
+    def elastic_forces(self) -> np.ndarray:
+        """Elastic node forces (E, N, 3) in N at the present positions."""
+        self._require_reset()
+        self._launch(kernels.elastic_kernel)
+        return self._read_rows(self._scene.forces)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Node positions (E, N, 3), world frame, metres."""
+        return self._read_rows(self._scene.positions) + self._origin[:, None]
+
+    @property
+    def velocities(self) -> np.ndarray:
+        """Node velocities (E, N, 3), world frame, m/s."""
+        return self._read_rows(self._scene.velocities)
+
+    @property
+    def tetrahedra(self) -> np.ndarray:
+        """Node indices (T, 4)."""
+        return self.block.tetrahedra
+
+    @property
+    def surface_triangles(self) -> np.ndarray:
+        """Node indices (S, 3) of the block's surface, wound outwards."""
+        return self.block.surface_triangles
+
+    @property
+    def surface_tetrahedra(self) -> np.ndarray:
+        """Tetrahedron (S,) behind each surface triangle."""
+        return self.block.surface_tetrahedra
+
+    @property
+    def rest_positions(self) -> np.ndarray:
+        """Rest positions (N, 3), object frame at the block's centre, metres."""
+        return self.block.nodes
+
+    @property
+    def fingers(self) -> FingerTargets | None:
+        """Where the fingers are now; None while they are away."""
+        return self._fingers_at
+
+    def object_pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Best-fit rigid motion of the block: centre (E, 3) in metres, quaternion (E, 4) xyzw."""
+        weights = self.block.node_volumes / self.block.volume
+        now = self.positions
+        centre = np.einsum("n,enk->ek", weights, now)
+        moment = np.einsum("n,eni,nj->eij", weights, now - centre[:, None], self.block.nodes)
+        u, _, vt = np.linalg.svd(moment)
+        sign = np.sign(np.linalg.det(u @ vt))
+        u[:, :, 2] *= sign[:, None]
+        return centre, _quaternion(u @ vt)
+
+    # ------------------------------------------------------- arrays and layout
+
+    def _launch(self, kernel: wp.Kernel) -> None:
+        if kernel.key not in self._launches:
+            self._launches[kernel.key] = kernels.record(kernel, self._scene)
+        self._launches[kernel.key].launch()
+
+    def _grouped(self, values: np.ndarray) -> np.ndarray:
+        """(E, ...) to [group][...][lane]; spare lanes repeat the last environment."""
+        spare = self._groups * self._lanes - self.environments
+        values = np.concatenate([values, np.repeat(values[-1:], spare, axis=0)])
+        values = values.reshape(self._groups, self._lanes, *values.shape[1:])
+        kind = np.int32 if values.dtype.kind == "i" else np.float32
+        return np.ascontiguousarray(np.moveaxis(values, 1, -1), dtype=kind).ravel()
+
+    def _node_rows(self, values: np.ndarray) -> np.ndarray:
+        rows = np.zeros((self.environments, self._rows, 4))
+        rows[:, : values.shape[1], :3] = values
+        return self._grouped(rows)
+
+    def _read_rows(self, array: wp.array) -> np.ndarray:
+        rows = array.numpy().reshape(self._groups, self._rows, 4, self._lanes)
+        rows = np.moveaxis(rows, -1, 1).reshape(-1, self._rows, 4)
+        return rows[: self.environments, : len(self.block.nodes), :3].astype(np.float64)
+
+    def _write_state(self, local: np.ndarray, velocities: np.ndarray) -> None:
+        self._scene.positions.assign(self._node_rows(local))
+        self._scene.velocities.assign(self._node_rows(velocities))
+        weights = self.block.node_volumes / self.block.volume
+        self._scene.centres.assign(self._grouped(np.einsum("n,enk->ek", weights, local)))
+        self._scene.anchors.zero_()
+        self._mean_forces = np.zeros((self.environments, 3, 3))
+
+    def _write_poses(self, poses: np.ndarray) -> None:
+        poses[..., 9:] -= self._origin[None, :, None]
+        steps = poses.shape[0]
+        by_environment = np.moveaxis(poses, 0, 1)
+        grouped = self._grouped(by_environment).reshape(self._groups, steps, -1)
+        flat = np.moveaxis(grouped, 0, 1).ravel()
+        self._scene.poses.numpy()[: flat.size] = flat
+
+    def _report(self) -> np.ndarray:
+        report = self._scene.reports.numpy().reshape(self._groups, 3, 4, self._lanes)
+        report = np.moveaxis(report, -1, 1).reshape(-1, 3, 4)
+        return report[: self.environments].astype(np.float64)
+
+    def _check_count(self, targets: FingerTargets) -> None:
+        if len(targets) != self.environments:
+            raise ValueError(
+                f"finger targets are for {len(targets)} environments; there are {self.environments}"
+            )
+
+    def _require_reset(self) -> None:
+        if self._broken:
+            raise SimulationError(self._broken)
+        if not self._materials:
+            raise SimulationError("the simulator was not reset yet; call reset() first")
+
+
+def _split(fingers: Fingers | Sequence[Fingers] | None) -> tuple:
+    if fingers is None:
+        return None, None
+    pairs = list(fingers)
+    if len(pairs) == 2 and all(isinstance(mesh, SurfaceMesh) for mesh in pairs):
+        return pairs[0], pairs[1]
+    return [pair[0] for pair in pairs], [pair[1] for pair in pairs]  # type: ignore[index]
+
+
+def _pairs(left, right, environments: int) -> list[Fingers] | None:
+    if left is None and right is None:
+        return None
+    sides = []
+    for name, side in (("left", left), ("right", right)):
+        meshes = [side] * environments if isinstance(side, SurfaceMesh) else list(side or [])
+        if len(meshes) != environments or not all(isinstance(m, SurfaceMesh) for m in meshes):
+            raise ValueError(
+                f"{name} finger: give one SurfaceMesh, or one for each of the {environments} "
+                "environments"
+            )
+        sides.append(meshes)
+    return list(zip(*sides, strict=True))
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_quat()
+
+
+def _packed(count: int, copies: int) -> np.ndarray:
+    """Items (I, copies) side by side in vectors; -1 where a lane has none."""
+    padded = np.full(-(-count // copies) * copies, -1)
+    padded[:count] = np.arange(count)
+    return padded.reshape(-1, copies)
+
+
+def _spread(count: int, copies: int) -> np.ndarray:
+    """Like `_packed`, with the items of a vector far apart.
+
+    Neighbouring tetrahedra add to the same nodes, and each addition would wait for the last.
+    """
+    return np.ascontiguousarray(_packed(count, copies).reshape(copies, -1).T)
+
+
+def _filled(layout: np.ndarray) -> np.ndarray:
+    """Sort keys of a layout: items in order, lanes without an item last."""
+    flat = layout.ravel()
+    return np.where(flat < 0, flat.size, flat)
+
+
+def _items(values: np.ndarray, layout: np.ndarray) -> np.ndarray:
+    """(items, components) to [vector][component][lane]; lanes without an item repeat one."""
+    return np.moveaxis(values[np.maximum(layout, 0)], 1, -1).copy()
+
+
+def _float_array(values: np.ndarray) -> wp.array:
+    flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
+    return wp.array(flat, dtype=wp.float32, device="cpu")
+
+
+def _int_array(values: np.ndarray) -> wp.array:
+    flat = np.ascontiguousarray(values, dtype=np.int32).ravel()
+    return wp.array(flat, dtype=wp.int32, device="cpu")
