@@ -141,7 +141,7 @@ def grasp_metrics(
     mean_top10 = _mean(top10, weights)
 
     up = contact & (rise >= success_lift)
-    success = bool(up[-1]) and t[-1] - t[_last_run(up).start] >= hold_time - 1e-9
+    success = bool(up[-1] and t[-1] - t[_last_run(up).start] >= hold_time - 1e-9)
     return GraspMetrics(
         success=success,
         top10_stress=mean_top10,

@@ -1,0 +1,293 @@
+"""Reading a trial bag: a rosbag2 folder (MCAP) into a TrialRecording. Needs no ROS.
+
+Message definitions are taken from the bag itself, times from each message's header.stamp.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codesign_policy.metrics import GraspMetrics, grasp_metrics
+from codesign_report.recording import (
+    Domain,
+    Floats,
+    MotionSeries,
+    SoftBody,
+    StressSeries,
+    TriangleMesh,
+    TrialRecording,
+)
+
+REQUIRED = ("/stress", "/simulation_state", "/soft_body_mesh", "/finger_design", "/object_pose")
+OPTIONAL = ("/gripper_state", "/trial_state")
+
+RUNNING, FINISHED, FAILED = 2, 3, 4  # TrialState.msg
+
+Messages = dict[str, list[Any]]
+
+
+class BagError(ValueError):
+    """The bag can't be used; the message names it, what is wrong and what to do."""
+
+
+def read_trial(bag: str | Path) -> TrialRecording:
+    """Read one trial.
+
+    If the bag holds /trial_state, only the time from the policy's start to the verdict counts.
+
+    Args:
+        bag: rosbag2 folder, or an .mcap file (what a killed recorder leaves).
+
+    Raises:
+        BagError: not a bag, truncated, a topic is missing or empty, or a value makes no sense.
+    """
+    path = Path(bag)
+    messages = _read_messages(path)
+    start, stop = _window(messages)
+    if not start <= stop:
+        raise BagError(
+            f"{path}: the policy starts {(start - stop) * 1e-9:.3f} s after the last stress sample: "
+            "record the whole trial"
+        )
+    gripper, seed, domain = _label(path, messages)
+    times, positions = _series(path, messages, "/object_pose", start, stop, _position)
+    gripper_times, width = np.zeros(0), np.zeros((0, 1))
+    if messages["/gripper_state"]:
+        gripper_times, width = _series(
+            path, messages, "/gripper_state", start, stop, lambda m: [m.width]
+        )
+    body = _soft_body(path, messages["/soft_body_mesh"][-1])
+    design = messages["/finger_design"][-1]
+    return TrialRecording(
+        bag=path,
+        gripper=gripper,
+        seed=seed,
+        domain=domain,
+        soft_body=body,
+        left_finger=_mesh(path, "left finger", design.left),
+        right_finger=_mesh(path, "right finger", design.right),
+        stress=_stress(path, messages, start, stop, len(body.tetrahedra)),
+        motion=_motion(path, messages, start, stop, len(body.rest_positions)),
+        object_times=times,
+        object_positions=positions,
+        gripper_times=gripper_times,
+        gripper_width=width[:, 0],
+    )
+
+
+def trial_metrics(trial: TrialRecording | str | Path, **limits: float) -> GraspMetrics:
+    """Grasp metrics of a recording or a bag; `limits` as in `grasp_metrics`.
+
+    Raises:
+        BagError: as `read_trial`.
+        ValueError: as `grasp_metrics`.
+    """
+    recording = trial if isinstance(trial, TrialRecording) else read_trial(trial)
+    stress = recording.stress
+    return grasp_metrics(
+        stress.times,
+        stress.top10,
+        stress.median,
+        stress.left_force,
+        stress.right_force,
+        recording.object_height,
+        **limits,
+    )
+
+
+# -- reading -------------------------------------------------------------------------------------
+
+
+def _read_messages(path: Path) -> Messages:
+    from rosbags.highlevel import AnyReader
+
+    source = _source(path)
+    messages: Messages = defaultdict(list)
+    try:
+        with AnyReader([source]) as reader:
+            missing = sorted(set(REQUIRED) - {c.topic for c in reader.connections if c.msgcount})
+            if missing:
+                raise BagError(
+                    f"{path}: no messages on {', '.join(missing)}: record the simulator's graph"
+                )
+            wanted = [c for c in reader.connections if c.topic in REQUIRED + OPTIONAL]
+            for connection, _, data in reader.messages(wanted):
+                messages[connection.topic].append(reader.deserialize(data, connection.msgtype))
+    except BagError:
+        raise
+    except Exception as error:  # the reader raises many kinds for damaged files
+        raise BagError(
+            f"{path}: cannot be read ({error}): if the recorder was killed, "
+            "repair the .mcap with `mcap recover`"
+        ) from error
+    return messages
+
+
+def _source(path: Path) -> Path:
+    """What to open: the folder, or the single .mcap of a folder that lost its metadata."""
+    if not path.exists():
+        raise BagError(f"{path}: does not exist: give a rosbag2 folder")
+    if path.is_file():
+        if path.suffix != ".mcap":
+            raise BagError(f"{path}: not a bag: give a rosbag2 folder or an .mcap file")
+        return path
+    if (path / "metadata.yaml").exists():
+        return path
+    files = sorted(path.glob("*.mcap"))
+    if len(files) != 1:
+        raise BagError(
+            f"{path}: not a bag, it has no metadata.yaml and {len(files)} .mcap files: "
+            "give a rosbag2 folder"
+        )
+    return files[0]
+
+
+def _stamp(message: Any) -> int:
+    """[ns]; an integer, since a double near 2e9 s would round to 0.2 us."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _window(messages: Messages) -> tuple[int, int]:
+    """Stamps [ns] between which the policy ran; the whole stress series without trial states."""
+    stress = [_stamp(m) for m in messages["/stress"]]
+    start, stop = min(stress), max(stress)
+    running = [_stamp(m) for m in messages["/trial_state"] if m.state == RUNNING]
+    ended = [_stamp(m) for m in messages["/trial_state"] if m.state in (FINISHED, FAILED)]
+    if running:
+        start = min(running)
+        stop = min((t for t in ended if t >= start), default=stop)
+    return start, stop
+
+
+def _series(
+    path: Path,
+    messages: Messages,
+    topic: str,
+    start: int,
+    stop: int,
+    values: Callable[[Any], Any],
+) -> tuple[Floats, np.ndarray]:
+    """Times since start and values of the messages within the window, sorted, no stamp twice."""
+    stamps = np.array([_stamp(m) for m in messages[topic]])
+    stamps, order = np.unique(stamps, return_index=True)
+    inside = (stamps >= start) & (stamps <= stop)
+    if inside.sum() < 2:
+        raise BagError(
+            f"{path}: {topic} has {inside.sum()} samples while the policy ran "
+            f"({(stop - start) * 1e-9:.1f} s), at least 2 are needed: record the whole trial"
+        )
+    rows = [values(messages[topic][i]) for i in order[inside]]
+    try:
+        array = np.asarray(rows, dtype=np.float64)
+    except ValueError as error:
+        raise BagError(f"{path}: {topic} changes its length: reset and record again") from error
+    if not np.isfinite(array).all():
+        raise BagError(f"{path}: {topic} holds a value that is not finite: check the simulator")
+    return (stamps[inside] - start) * 1e-9, array
+
+
+def _stress(
+    path: Path, messages: Messages, start: int, stop: int, tetrahedra: int
+) -> StressSeries:
+    def values(m: Any) -> list[float]:
+        forces = [[f.x, f.y, f.z] for f in (m.left_force, m.right_force)]
+        return [m.top10_mean, m.median, *forces[0], *forces[1], *m.von_mises]
+
+    times, rows = _series(path, messages, "/stress", start, stop, values)
+    _require_length(path, "/stress", rows.shape[1] - 8, tetrahedra, "tetrahedra")
+    return StressSeries(
+        times=times,
+        top10=rows[:, 0],
+        median=rows[:, 1],
+        left_force=rows[:, 2:5],
+        right_force=rows[:, 5:8],
+        von_mises=rows[:, 8:].astype(np.float32),
+    )
+
+
+def _motion(path: Path, messages: Messages, start: int, stop: int, nodes: int) -> MotionSeries:
+    def values(m: Any) -> list[float]:
+        return [*_pose(m.left_finger), *_pose(m.right_finger), *m.positions]
+
+    times, rows = _series(path, messages, "/simulation_state", start, stop, values)
+    _require_length(path, "/simulation_state", rows.shape[1] - 14, 3 * nodes, "coordinates")
+    return MotionSeries(
+        times=times,
+        positions=rows[:, 14:].reshape(len(rows), nodes, 3).astype(np.float32),
+        left_pose=_same_sign(rows[:, :7]),
+        right_pose=_same_sign(rows[:, 7:14]),
+    )
+
+
+def _same_sign(poses: np.ndarray) -> Floats:
+    """Quaternions q and -q are one rotation; interpolation needs neighbours on one side."""
+    turns = np.einsum("ti,ti->t", poses[1:, 3:], poses[:-1, 3:])
+    signs = np.cumprod(np.concatenate([[1.0], np.where(turns < 0.0, -1.0, 1.0)]))
+    return np.column_stack([poses[:, :3], poses[:, 3:] * signs[:, None]])
+
+
+def _require_length(path: Path, topic: str, length: int, expected: int, what: str) -> None:
+    if length != expected:
+        raise BagError(
+            f"{path}: {topic} has {length} {what}, /soft_body_mesh asks for {expected}: "
+            "record one object per bag"
+        )
+
+
+def _pose(pose: Any) -> list[float]:
+    p, q = pose.position, pose.orientation
+    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+
+
+def _position(message: Any) -> list[float]:
+    return _pose(message.pose)[:3]
+
+
+def _label(path: Path, messages: Messages) -> tuple[str, int, Domain]:
+    """Gripper, seed and domain; from the file's name and the object without trial states."""
+    mesh = messages["/soft_body_mesh"][-1]
+    states = [m for m in messages["/trial_state"] if m.gripper]
+    if states:
+        state = states[-1]
+        return state.gripper, int(state.seed), _domain(state.domain)
+    gripper, _, seed = path.stem.rpartition("-seed")
+    if gripper and seed.isdigit():
+        return gripper, int(seed), _domain(mesh.domain)
+    return messages["/finger_design"][-1].name or path.stem, -1, _domain(mesh.domain)
+
+
+def _domain(message: Any) -> Domain:
+    return Domain(**{name: float(getattr(message, name)) for name in Domain.__dataclass_fields__})
+
+
+def _soft_body(path: Path, message: Any) -> SoftBody:
+    body = SoftBody(
+        rest_positions=np.asarray(message.rest_positions, dtype=np.float64).reshape(-1, 3),
+        tetrahedra=np.asarray(message.tetrahedra, dtype=np.int64).reshape(-1, 4),
+        surface_triangles=np.asarray(message.surface_triangles, dtype=np.int64).reshape(-1, 3),
+        surface_tetrahedra=np.asarray(message.surface_tetrahedra, dtype=np.int64),
+    )
+    _require_indices(path, "tetrahedra", body.tetrahedra, len(body.rest_positions))
+    _require_indices(path, "surface triangles", body.surface_triangles, len(body.rest_positions))
+    _require_indices(path, "surface tetrahedra", body.surface_tetrahedra, len(body.tetrahedra))
+    return body
+
+
+def _mesh(path: Path, name: str, message: Any) -> TriangleMesh:
+    vertices = np.array([[p.x, p.y, p.z] for p in message.vertices]).reshape(-1, 3)
+    triangles = np.array([t.vertex_indices for t in message.triangles], dtype=np.int64)
+    triangles = triangles.reshape(-1, 3)
+    _require_indices(path, name, triangles, len(vertices))
+    return TriangleMesh(vertices, triangles)
+
+
+def _require_indices(path: Path, name: str, indices: np.ndarray, count: int) -> None:
+    if not indices.size or indices.max() >= count:
+        worst = indices.max() if indices.size else "none"
+        raise BagError(
+            f"{path}: {name} refer to index {worst} of {count}: publish a consistent mesh"
+        )
