@@ -270,8 +270,7 @@ class Simulator:
         self._write_state(local, np.zeros_like(local))
         self._fingers_at = None
         if settle:
-            self._run(SETTLE_TIME, None, SETTLE_DAMPING, about_rigid=False)
-            self._scene.velocities.zero_()
+            self.settle()
         self._fingers_at = fingers
         self.time = 0.0
 
@@ -317,6 +316,18 @@ class Simulator:
         positions = require_finite("positions", positions, shape, "m")
         velocities = require_finite("velocities", velocities, shape, "m/s")
         self._write_state(positions - self._origin[:, None], velocities)
+
+    def settle(self, duration: float = SETTLE_TIME, damping: float = SETTLE_DAMPING) -> None:
+        """Brings the block to rest where it is, damping all its motion; time does not count.
+
+        Args:
+            duration: seconds, several times 1 / damping.
+            damping: 1/s; best is twice the slowest vibration in rad/s.
+        """
+        self._require_reset()
+        require_positive("duration", duration, (), "s")
+        self._run(duration, None, require_not_negative("damping", damping, "1/s"), False)
+        self._scene.velocities.zero_()
 
     # ---------------------------------------------------------------- stepping
 

@@ -143,11 +143,12 @@ CODESIGN_INLINE Vec3<typename Lanes<L>::F> contact_force(Vec3<typename Lanes<L>:
 
 template <int L, class Scene>
 CODESIGN_INLINE void add_contact_forces(const Scene& scene, int group, const float* x,
-    const float* poses, float* force, float* impulse, float* deepest) {
+    const float* v, const float* poses, float* force, float* impulse, float* deepest) {
     typedef Lanes<L> W;
     typedef typename W::F F;
     constexpr int C = W::copies, V = W::width;
     const F zero = W::broadcast(0.0f);
+    const F beta = W::broadcast(scene.settings.data[STIFFNESS_DAMPING]);
     const F friction = W::environment(scene.materials.data + ((size_t)group * 4 + 3) * L);
     const int* near = scene.near_obstacle.data + (size_t)group * scene.triangle_items;
     constexpr size_t anchors_per_triangle = QUADRATURE * ANCHOR * V;
@@ -167,7 +168,9 @@ CODESIGN_INLINE void add_contact_forces(const Scene& scene, int group, const flo
             const int* node = scene.triangle_nodes.data + (size_t)t * 3 * C;
             Vec3<F> corner[3], out[3];
             for (int c = 0; c < 3; ++c) {
-                corner[c] = Nodes<L>::load(x, node + c * C);
+                // A time beta ahead, which damps the contact against the moving obstacle.
+                corner[c] = Nodes<L>::load(x, node + c * C)
+                    + beta * Nodes<L>::load(v, node + c * C);
                 out[c] = { zero, zero, zero };
             }
             const F area = W::item(scene.triangle_areas.data + (size_t)t * C);

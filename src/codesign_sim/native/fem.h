@@ -1,4 +1,4 @@
-// One substep of the block, and many of them: symplectic Euler with forces at x + beta v.
+// The substeps of the block: symplectic Euler with elastic forces at x + beta v.
 #pragma once
 #include "contact.h"
 #include "elements.h"
@@ -91,59 +91,63 @@ CODESIGN_INLINE void advance(const Scene& scene, int group) {
     float impulse[OBSTACLES * 3 * V], deepest[OBSTACLES * V];
     for (int k = 0; k < OBSTACLES * 3 * V; ++k)
         impulse[k] = 0.0f;
-    F fastest2 = zero;
-    for (int n = 0; n < scene.node_items; ++n) {
-        const int* node = scene.node_order.data + n * C;
-        const Vec3<F> speed = Nodes<L>::load(v, node);
-        fastest2 = max(fastest2, dot(speed, speed));
-        Nodes<L>::store(ahead, node, Nodes<L>::load(x, node) + beta * speed);
-    }
 
-    for (int step = 0; step < substeps; ++step) {
-        const float* poses = scene.poses.data + ((size_t)step * groups + group) * 2 * POSE * L;
-        if (step % MARK_EVERY == 0) {
-            const F travel = root(W::largest(fastest2)) + s[FINGER_SPEED];
-            mark_near<L>(scene, group, ahead, poses,
-                s[NEAR_MARGIN] + (1.5f * MARK_EVERY) * dt * travel);
+    F fastest2 = zero;
+    // Step -1 only looks ahead from the given state; every other step kicks, damps and moves it.
+    for (int step = -1; step < substeps; ++step) {
+        const bool kick = step >= 0;
+        if (kick) {
+            const float* poses = scene.poses.data + ((size_t)step * groups + group) * 2 * POSE * L;
+            if (step % MARK_EVERY == 0) {
+                const F travel = root(W::largest(fastest2)) + s[FINGER_SPEED];
+                mark_near<L>(scene, group, x, poses,
+                    s[NEAR_MARGIN] + (1.5f * MARK_EVERY) * dt * travel);
+            }
+            for (size_t k = 0; k < (size_t)scene.node_rows * ROW * L; ++k)
+                force[k] = load[k];
+            add_elastic_forces<L>(scene, group, ahead, force);
+            add_contact_forces<L>(scene, group, x, v, poses, force, impulse, deepest);
         }
-        for (size_t k = 0; k < (size_t)scene.node_rows * ROW * L; ++k)
-            force[k] = load[k];
-        add_elastic_forces<L>(scene, group, ahead, force);
-        add_contact_forces<L>(scene, group, ahead, poses, force, impulse, deepest);
 
         Moments<F> m = { { zero, zero, zero }, { zero, zero, zero }, { zero, zero, zero }, zero,
             zero, zero, zero, zero, zero };
         for (int n = 0; n < scene.node_items; ++n) {
             const int* node = scene.node_order.data + n * C;
             const float* constants = scene.node_constants.data + (size_t)n * NODE_CONSTANTS * C;
-            const F weight = W::item(constants), per_volume = W::item(constants + C);
-            const F falls = W::item(constants + 3 * C);
-            const Vec3<F> speed = Nodes<L>::load(v, node)
-                + (per_density * per_volume) * Nodes<L>::load(force, node) + falls * gravity_step;
-            Nodes<L>::store(v, node, speed);
-            Moments<F>::add(m, weight, Nodes<L>::load(x, node) - centre, speed);
+            Vec3<F> speed = Nodes<L>::load(v, node);
+            if (kick) {
+                const F per_volume = W::item(constants + C), falls = W::item(constants + 3 * C);
+                speed = speed + (per_density * per_volume) * Nodes<L>::load(force, node)
+                    + falls * gravity_step;
+                Nodes<L>::store(v, node, speed);
+            }
+            Moments<F>::add(m, W::item(constants), Nodes<L>::load(x, node) - centre, speed);
         }
         const RigidMotion<F> rigid = rigid_motion<L>(m, centre);
+
         fastest2 = zero;
+        const F drift = kick ? dt : zero, damp = kick ? damping : zero;
         for (int n = 0; n < scene.node_items; ++n) {
             const int* node = scene.node_order.data + n * C;
             const F moves = W::item(scene.node_constants.data + ((size_t)n * NODE_CONSTANTS + 2) * C);
             const Vec3<F> at = Nodes<L>::load(x, node);
             Vec3<F> speed = Nodes<L>::load(v, node);
+            // Both dampings act on the flexing only, so that a block flying or spinning as a
+            // whole keeps its momenta.
             Vec3<F> flexing = speed;
             if (about_rigid)
                 flexing = speed - rigid.velocity - cross(rigid.spin, at - rigid.centre);
-            speed = speed - (damping * moves) * flexing;
+            speed = speed - (damp * moves) * flexing;
             const F speed2 = dot(speed, speed);
             const F slow = speed2 > top_speed * top_speed ? top_speed / root(speed2) : one;
             speed = slow * speed;
             fastest2 = max(fastest2, slow * slow * speed2);
-            const Vec3<F> next = at + dt * speed;
+            const Vec3<F> next = at + drift * speed;
             Nodes<L>::store(v, node, speed);
             Nodes<L>::store(x, node, next);
-            Nodes<L>::store(ahead, node, next + beta * speed);
+            Nodes<L>::store(ahead, node, next + (slow * beta) * flexing);
         }
-        centre = rigid.centre + dt * rigid.velocity;
+        centre = rigid.centre + drift * rigid.velocity;
     }
 
     W::store_environment(centre_row, centre.x);
