@@ -32,6 +32,7 @@ class ServoConfig:
     box_margin: float = 0.002  # m, how far inside the box targets stay
     smoothing: float = 0.02  # s, of each of the three lags; at least 2 periods
     gain: float = 10.0  # 1/s, of the error between reference and commanded pose
+    tcp_speed_limit: float = 0.5  # m/s, of any set-point: a motion that exceeds it is not begun
     leash: float = 0.06  # m, largest lead of the reference over the commanded pose
     leash_rotation: float = 0.25  # rad
 
@@ -42,8 +43,8 @@ class ServoConfig:
     joint_margin: float = 0.02  # rad, how far from its limits a joint stays
     tracking_limit: float = 0.2  # rad, larger |commanded - measured|: fault
 
-    # Approach to joint limits and singularities: speed towards one <= limit_gain * distance to it.
-    limit_gain: float = 5.0  # 1/s
+    # Approach to the box, joint limits and singularities: speed <= limit_gain * distance to it.
+    limit_gain: float = 10.0  # 1/s
     singularity_stop: float = 0.03  # smallest singular value of the Jacobian, never undercut
     damping_below: float = 0.06  # smallest singular value below which least squares are damped
     damping: float = 0.03  # largest damping factor
@@ -69,5 +70,7 @@ class ServoConfig:
             raise ValueError("box_upper: not above box_lower by more than two margins")
         if self.period > self.action_period:
             raise ValueError("period: longer than action_period")
+        if self.tcp_speed_limit < self.linear_speed:
+            raise ValueError("tcp_speed_limit: less than linear_speed")
         if self.smoothing < 2 * self.period:
             raise ValueError(f"smoothing: {self.smoothing} s, expected at least two periods")

@@ -1,7 +1,7 @@
 """Joint motion that can always stop: the last gate before a set-point leaves the library.
 
 Every step is proposed first and taken only when the arm could still brake from it, jerk-limited,
-without leaving the joint limits, the velocity limit or the workspace box. Otherwise the arm moves
+without leaving the joint limits, the velocity limits or the workspace box. Otherwise the arm moves
 on along the stop that was found safe one tick earlier. So, by induction, nothing that is asked of
 this class can make it break a limit.
 """
@@ -18,6 +18,7 @@ from codesign_control.xarm7 import Xarm7
 
 DOF = 7
 AT_REST = 1e-9  # rad/s, rad/s^2: below it a joint counts as standing
+PLAN_ATTEMPTS = 10
 ROUNDING = 1e-9  # relative slack for limits that are met exactly
 
 
@@ -80,15 +81,22 @@ class JointMotion:
     def plan(self, goal: np.ndarray, speed_scale: float) -> list[JointState]:
         """States at the coming ticks of a jerk-limited motion to `goal`, where it stands.
 
-        Raises TrajectoryError when Ruckig fails, ValueError when the motion leaves a limit.
+        speed_scale is lowered where the TCP would exceed its speed limit. Raises TrajectoryError
+        when Ruckig fails, ValueError when the motion leaves the joint limits or the box.
         """
         request = self._request(self.state)
         request.target_position = goal.tolist()
-        request.max_velocity = [self._config.joint_velocity * speed_scale] * DOF
         request.synchronization = Synchronization.Time
-        states = self._sample(request)
-        if not self._inside(states):
-            raise ValueError("the motion leaves the joint limits or the workspace box")
+        for _ in range(PLAN_ATTEMPTS):
+            request.max_velocity = [self._config.joint_velocity * speed_scale] * DOF
+            states = self._sample(request)
+            path = self._tcp_path([self.state, *states])
+            speed = self._peak_speed(path)
+            if speed <= self._config.tcp_speed_limit:
+                break
+            speed_scale *= 0.95 * self._config.tcp_speed_limit / speed
+        if not self._inside(states, path):
+            raise ValueError("the way leaves the joint limits, the box or the TCP speed limit")
         return states
 
     def _take(self, candidate: JointState) -> bool:
@@ -107,12 +115,13 @@ class JointMotion:
         """
         config, dt = self._config, self._config.period
         q, v, a = self.state.position, self.state.velocity, self.state.acceleration
+        # All joints are slowed by one factor, which keeps the direction of the motion.
         change = velocity - v
         wanted = change / (2.0 * config.smoothing)  # acceleration
         braking = np.sqrt(1.6 * config.joint_jerk * np.abs(change))  # can still return to zero
-        most = np.minimum(braking, config.joint_acceleration)
-        limit = config.joint_jerk
-        jerk = np.clip((np.clip(wanted, -most, most) - a) * 2.0 / config.smoothing, -limit, limit)
+        wanted *= _scale_into(wanted, np.minimum(braking, config.joint_acceleration))
+        jerk = (wanted - a) * 2.0 / config.smoothing
+        jerk *= _scale_into(jerk, config.joint_jerk)
         return JointState(
             q + dt * (v + dt * (a / 2 + dt * jerk / 6)), v + dt * (a + dt * jerk / 2), a + dt * jerk
         )
@@ -126,22 +135,30 @@ class JointMotion:
         else:
             request = self._request(state)
             request.control_interface = ControlInterface.Velocity
-            request.synchronization = Synchronization.No  # each joint as soon as it can
+            # Joints that stop together keep the TCP nearer to its path than each as soon as it can.
+            request.synchronization = Synchronization.Phase
             stop = self._sample(request)
-        return stop if self._inside([state, *stop]) else None
+        ahead = [self.state, state, *stop]
+        return stop if self._inside(ahead, self._tcp_path(ahead)) else None
 
-    def _inside(self, states: list[JointState]) -> bool:
-        """Whether the states keep the joint limits, the velocity limit and the workspace box."""
-        if not self._arm.within_limits(np.array([s.position for s in states])):
-            return False
-        speed = max(np.abs(s.velocity).max() for s in states)
-        if speed > self._config.joint_velocity * (1 + ROUNDING):
-            return False
-        for state in states:
-            tcp = self._arm.tcp_placement(state.position).translation
-            if (tcp < self._box_lower).any() or (tcp > self._box_upper).any():
-                return False
-        return True
+    def _inside(self, states: list[JointState], path: np.ndarray) -> bool:
+        """Whether the states and their (n, 3) TCP path keep every limit but acceleration, jerk."""
+        speed = np.abs([state.velocity for state in states]).max()
+        return (
+            self._arm.within_limits(np.array([state.position for state in states]))
+            and bool((path >= self._box_lower).all() and (path <= self._box_upper).all())
+            and speed <= self._config.joint_velocity * (1 + ROUNDING)
+            and self._peak_speed(path) <= self._config.tcp_speed_limit * (1 + ROUNDING)
+        )
+
+    def _tcp_path(self, states: list[JointState]) -> np.ndarray:
+        """(n, 3) positions of `link_tcp` [m]."""
+        return np.array([self._arm.tcp_placement(state.position).translation for state in states])
+
+    def _peak_speed(self, path: np.ndarray) -> float:
+        """Largest speed [m/s] along a (n, 3) path of one point per tick."""
+        steps = np.diff(path, axis=0)
+        return float(np.sqrt((steps * steps).sum(axis=1).max())) / self._config.period
 
     def _request(self, state: JointState) -> InputParameter:
         """A Ruckig request from `state` to rest, at full limits."""
@@ -167,3 +184,8 @@ class JointMotion:
             for i in range(1, ticks)
         ]
         return [*states, JointState.standing(trajectory.at_time(trajectory.duration)[0])]
+
+
+def _scale_into(values: np.ndarray, limit: np.ndarray | float) -> float:
+    """The largest factor up to 1 that brings every |value| under its limit."""
+    return min(1.0, float((limit / np.maximum(np.abs(values), 1e-300)).min()))

@@ -272,6 +272,9 @@ class CartesianServo:
         if np.abs(twist).max() < SETTLED:
             twist = np.zeros(6)
         twist = bounded(twist, config.linear_speed, config.angular_speed)
+        to_lower = np.subtract(config.box_lower, commanded.translation)
+        to_upper = np.subtract(config.box_upper, commanded.translation)
+        twist[:3] = np.clip(twist[:3], config.limit_gain * to_lower, config.limit_gain * to_upper)
         if not self._motion.follow_velocity(self._joint_velocity(q, twist)):
             self._count(brakes=1)
 
