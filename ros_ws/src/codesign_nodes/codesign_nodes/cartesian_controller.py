@@ -35,6 +35,7 @@ from codesign_interfaces.msg import (
 from codesign_policy.task import MAX_WIDTH_CHANGE, POLICY_PERIOD
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.task import Future
@@ -91,6 +92,7 @@ class CartesianController(Node):
         self._pending: Any = None
         self._pending_since = 0.0
         self._stepped = -1
+        self._answered = -1
         self._now = 0.0
         self._policy_absent = False
         self._make_interfaces()
@@ -138,8 +140,12 @@ class CartesianController(Node):
         self.create_subscription(JointState, "/joint_states", self._on_joint_state, qos.STATE)
         self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.STATE)
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
-        self.create_service(SetBool, "~/enable", self._on_enable)
-        self.create_service(Trigger, "~/reset_fault", self._on_reset_fault)
+        # These wait for a joint state; in a group of their own they do not keep it from coming.
+        waiting = ReentrantCallbackGroup()
+        self.create_service(SetBool, "~/enable", self._on_enable, callback_group=waiting)
+        self.create_service(
+            Trigger, "~/reset_fault", self._on_reset_fault, callback_group=waiting
+        )
         self._server = ActionServer(
             self,
             MoveTo,
@@ -147,6 +153,7 @@ class CartesianController(Node):
             execute_callback=self._execute_move,
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=self._on_cancel,
+            callback_group=waiting,
         )
         period = 0.05 if self._lockstep else self._config.period
         on_timer = self._give_up_waiting if self._lockstep else self._on_timer
@@ -256,8 +263,7 @@ class CartesianController(Node):
         follows = self._servo.state in (ServoState.READY, ServoState.MOVING, ServoState.HALTED)
         if not follows or self._goal_done is not None or now % ACTION_PERIOD_NS:
             return False
-        answered = nanoseconds(self._last_action.observation_stamp) == now
-        return not answered and not self._policy_absent
+        return self._answered != now and not self._policy_absent
 
     def _give_up_waiting(self) -> None:
         """A dead policy must not stop simulated time: the servo's watchdog has to see it go by."""
@@ -280,7 +286,7 @@ class CartesianController(Node):
         except ValueError as error:
             self._reject(str(error))
         if self._lockstep:
-            self._last_action.observation_stamp = message.observation_stamp
+            self._answered = nanoseconds(message.observation_stamp)
             self._policy_absent = False
             self._step_if_ready()
 
@@ -330,6 +336,7 @@ class CartesianController(Node):
             return response
         self._width_target = None
         self._policy_absent = False
+        self._stepped = -1  # lockstep: the tick that stood while disabled wants an answer now
         self._last_action = ControlAction()
         response.success, response.message = True, "holding"
         return response

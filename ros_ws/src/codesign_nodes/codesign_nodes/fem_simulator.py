@@ -31,15 +31,16 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from codesign_nodes import messages, qos
-from codesign_nodes.markers import SurfaceMarkers, scene_markers
+from codesign_nodes.markers import SceneMarkers
 from codesign_nodes.node_tools import Diagnostics, declare, nanoseconds, run, stamp_of, steady_clock
 from codesign_nodes.simulated_cell import CellConfig, SimulatedCell
 
 TICK_NS = 10_000_000  # 100 Hz: joint and gripper states
-POSE_TICKS = 1  # object pose: every tick
+POSE_TICKS = 5  # 20 Hz: object pose, as a camera would
 STRESS_TICKS = 5  # 20 Hz: stress, shape
 MARKER_TICKS = 10  # 10 Hz
-REPUBLISH_AFTER = 0.2  # s of waiting in lockstep before the state is sent again
+MAX_CATCH_UP = 5  # ticks that a late timer makes up for
+REPUBLISH_AFTER = 0.1  # s of waiting in lockstep before the state is sent again
 
 
 class FemSimulator(Node):
@@ -66,8 +67,7 @@ class FemSimulator(Node):
             ),
         )
         self._cell = SimulatedCell(config, stock_fingers())
-        simulator = self._cell.simulator
-        self._markers = SurfaceMarkers(simulator.surface_triangles, simulator.surface_tetrahedra)
+        self._markers = self._scene_markers()
         self._tick = 0
         self._paused = False
         self._rejected = 0
@@ -75,6 +75,8 @@ class FemSimulator(Node):
         self._busy = 0.0
         self._report_at = time.monotonic()
         self._report_tick = 0
+        self._started_at = time.monotonic()
+        self._ticks_done = 0
         self._error = ""
         self._commands: dict[str, int] = {}
         self._sent_at = 0.0
@@ -85,6 +87,7 @@ class FemSimulator(Node):
             self._timer = self.create_timer(0.05, self._republish, clock=steady_clock())
             self._publish_state()
         else:
+            self._started_at = time.monotonic()
             self._timer = self.create_timer(TICK_NS * 1e-9, self._on_timer, clock=steady_clock())
         self._diagnostics = Diagnostics(self, self._report)
 
@@ -118,8 +121,15 @@ class FemSimulator(Node):
         return self.get_clock().now().to_msg()
 
     def _on_timer(self) -> None:
-        if not self._paused and not self._error:
-            self._advance()
+        """Real time: as many ticks as have come due, so that a late timer costs no time."""
+        due = int((time.monotonic() - self._started_at) / (TICK_NS * 1e-9)) - self._ticks_done
+        if due > MAX_CATCH_UP:  # too slow for real time: the rest is given up, and reported
+            self._ticks_done += due - MAX_CATCH_UP
+            due = MAX_CATCH_UP
+        for _ in range(due):
+            self._ticks_done += 1
+            if not self._error:
+                self._advance()
 
     def _advance_if_ready(self) -> None:
         """Lockstep: goes on once both commands of this tick are there."""
@@ -234,10 +244,17 @@ class FemSimulator(Node):
             return
         simulator = self._cell.simulator
         stress = simulator.stress().von_mises[0]
-        self._marker_pub.publish(self._markers.serialized(simulator.positions[0], stress))
-        left, right = self._finger_poses()
         self._marker_pub.publish(
-            scene_markers(self._cell.fingers, left, right, self._cell.config.table_height)
+            self._markers.serialized(simulator.positions[0], stress, *self._finger_poses())
+        )
+
+    def _scene_markers(self) -> SceneMarkers:
+        cell = self._cell
+        return SceneMarkers(
+            cell.simulator.surface_triangles,
+            cell.simulator.surface_tetrahedra,
+            cell.fingers,
+            cell.config.table_height,
         )
 
     def _publish_mesh(self, domain: TrialDomain) -> None:
@@ -290,6 +307,7 @@ class FemSimulator(Node):
         try:
             fingers = messages.design_from(message)
             self._cell.set_fingers(fingers)
+            self._markers = self._scene_markers()
         except ValueError as error:
             self._reject(error)
             return

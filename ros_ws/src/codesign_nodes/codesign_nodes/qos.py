@@ -10,16 +10,17 @@ from rclpy.qos import (
 )
 
 
-def command(deadline: float) -> QoSProfile:
-    """Actions, commands and poses: only the newest counts, and it must arrive.
+def command(deadline: float, depth: int = 1) -> QoSProfile:
+    """Actions, commands and poses: they must arrive, and of poses and commands only the newest.
 
     Args:
         deadline: longest time between two messages [s]; a subscription asks for no less than
             what the publisher offers.
+        depth: messages kept while the reader is busy.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=1,
+        depth=depth,
         reliability=ReliabilityPolicy.RELIABLE,
         deadline=Duration(seconds=deadline),
         liveliness=LivelinessPolicy.AUTOMATIC,
@@ -47,6 +48,7 @@ EVERY = QoSProfile(
 )
 
 # Longest time between two messages [s]: offered by the publisher, asked for by the subscriber.
-ACTION_OFFERED, ACTION_REQUESTED = command(0.10), command(0.15)
+# Actions are increments: one that is overwritten in the queue is missing from the pose for good.
+ACTION_OFFERED, ACTION_REQUESTED = command(0.10, depth=5), command(0.15, depth=5)
 JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05), command(0.10)
 POSE_OFFERED, POSE_REQUESTED = command(0.10), command(0.20)

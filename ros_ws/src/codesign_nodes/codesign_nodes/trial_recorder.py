@@ -62,7 +62,8 @@ class TrialRecorder(Node):
     def _discover(self) -> None:
         for topic, types in self.get_topic_names_and_types():
             known = topic in self._subscriptions_by_topic or topic in self._unknown
-            if known or topic in self._excluded or not types:
+            hidden = any(part.startswith("_") for part in topic.split("/"))
+            if known or hidden or topic in self._excluded or not types:
                 continue
             offered = self.get_publishers_info_by_topic(topic)
             if offered:
