@@ -17,8 +17,8 @@ from codesign_report.recording import (
     MotionSeries,
     SoftBody,
     StressSeries,
-    TriangleMesh,
     TrialRecording,
+    TriangleMesh,
 )
 
 REQUIRED = ("/stress", "/simulation_state", "/soft_body_mesh", "/finger_design", "/object_pose")
@@ -49,8 +49,8 @@ def read_trial(bag: str | Path) -> TrialRecording:
     start, stop = _window(messages)
     if not start <= stop:
         raise BagError(
-            f"{path}: the policy starts {(start - stop) * 1e-9:.3f} s after the last stress sample: "
-            "record the whole trial"
+            f"{path}: the policy starts {(start - stop) * 1e-9:.3f} s after the last "
+            "stress sample: record the whole trial"
         )
     gripper, seed, domain = _label(path, messages)
     times, positions = _series(path, messages, "/object_pose", start, stop, _position)
@@ -190,9 +190,7 @@ def _series(
     return (stamps[inside] - start) * 1e-9, array
 
 
-def _stress(
-    path: Path, messages: Messages, start: int, stop: int, tetrahedra: int
-) -> StressSeries:
+def _stress(path: Path, messages: Messages, start: int, stop: int, tetrahedra: int) -> StressSeries:
     def values(m: Any) -> list[float]:
         forces = [[f.x, f.y, f.z] for f in (m.left_force, m.right_force)]
         return [m.top10_mean, m.median, *forces[0], *forces[1], *m.von_mises]

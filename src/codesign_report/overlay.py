@@ -67,7 +67,8 @@ class Overlay:
         s = self._scale
         bar = Picture.new("RGBA", (round(150 * s), height), (236, 239, 242, 0))
         draw = ImageDraw.Draw(bar)
-        top, bottom, left, wide = round(110 * s), height - round(70 * s), round(34 * s), round(22 * s)
+        top, bottom = round(110 * s), height - round(70 * s)
+        left, wide = round(34 * s), round(22 * s)
         label = _font(16 * s)
         draw.text((0, round(44 * s)), "von Mises\nstress [Pa]", fill=INK, font=label, spacing=2)
         ramp = np.round(255.0 * color_table()[::-1]).astype(np.uint8)[:, None]
@@ -85,17 +86,20 @@ class Overlay:
 
 def nice_ticks(maximum: float, most: int = 6) -> list[float]:
     """Round tick values from 0 to `maximum`, which is always one of them."""
-    step = nice_ceiling(maximum / (most - 1))
+    step = _round_up(maximum / (most - 1), (1.0, 2.0, 2.5, 5.0, 10.0))
     ticks = np.arange(0.0, maximum - 0.5 * step, step).tolist()
     return [*ticks, maximum]
 
 
 def nice_ceiling(value: float) -> float:
     """The next number of the series 1, 1.5, 2, 2.5, 3, 4, 5, 6, 8 times a power of ten."""
+    return _round_up(value, (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0))
+
+
+def _round_up(value: float, steps: tuple[float, ...]) -> float:
     if not value > 0.0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
-    steps = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
     return float(power * next(s for s in steps if s >= value / power - 1e-9))
 
 

@@ -107,7 +107,7 @@ class SceneRenderer:
         if not (16 <= width <= 7680 and 16 <= height <= 4320):
             raise ValueError(f"picture is {width} x {height} px: give 16 x 16 to 7680 x 4320")
         low, high = stress_range
-        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        if not -np.inf < low < high < np.inf:
             raise ValueError(f"stress_range is {stress_range} Pa: give two increasing numbers")
         if len(fingers) != 2:
             raise ValueError(f"fingers holds {len(fingers)} meshes: give left and right")
@@ -226,8 +226,8 @@ class SceneRenderer:
             height = self.table_height + 2e-4 * (i + 1)
             self._set_geom(first + i, np.array([*turn @ (low + high) / 2.0, height]), rotation)
             self._model.geom_size[first + i, :2] = SHADOW_SPREAD * (high - low) / 2.0 + 0.2 * rise
-            self._model.mat_rgba[self._model.geom_matid[first + i], 3] = (
-                SHADOW_ALPHA * 0.5 ** (rise / SHADOW_FADE)
+            self._model.mat_rgba[self._model.geom_matid[first + i], 3] = SHADOW_ALPHA * 0.5 ** (
+                rise / SHADOW_FADE
             )
 
     def _set_geom(self, index: int, position: Floats, rotation: Floats) -> None:
@@ -240,7 +240,7 @@ class SceneRenderer:
         right = np.cross(forward, camera.up)
         right /= np.linalg.norm(right)
         near, far = 0.02, 8.0
-        half = near * np.tan(camera.fovy / 2.0)
+        half = near * float(np.tan(camera.fovy / 2.0))
         for eye in self._scene.camera:
             eye.pos = camera.position
             eye.forward = forward
@@ -253,7 +253,8 @@ class SceneRenderer:
             eye.orthographic = 0
         # The lamp rides with the camera, behind its left shoulder: what it sees is always lit.
         level = np.array([forward[0], forward[1], 0.0])
-        beam = 0.5 * level / max(np.linalg.norm(level), 1e-9) + 0.35 * right - [0.0, 0.0, 0.8]
+        level /= max(float(np.linalg.norm(level)), 1e-9)
+        beam = 0.5 * level + 0.35 * right - [0.0, 0.0, 0.8]
         for light in list(self._scene.lights)[: self._scene.nlight]:
             if not light.headlight:
                 light.dir = beam / np.linalg.norm(beam)
@@ -397,9 +398,9 @@ def _gripper_links(fingers: Sequence[TriangleMesh]) -> list[_Link]:
     low = np.min([mesh.vertices.min(axis=0) for mesh in fingers], axis=0)
     high = np.max([mesh.vertices.max(axis=0) for mesh in fingers], axis=0)
     root, reach = low[2], max(abs(low[1]), abs(high[1]))
-    half = (0.010, 0.005, 0.020)
+    half = (0.010, 0.005, 0.026)
     links = [
-        _Link(i, np.array([0.0, side * (reach + half[1]), root - 0.006]), half)
+        _Link(i, np.array([0.0, side * (reach + half[1]), root - 0.012]), half)
         for i, side in enumerate((1.0, -1.0))
     ]
     return [*links, _Link(None, np.array([0.0, 0.0, root - 0.046]), (0.02, 0.06, 0.014))]

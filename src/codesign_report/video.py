@@ -1,6 +1,6 @@
 """A trial as an H.264 video that plays in browsers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,11 @@ ELEVATION = np.radians(18.0)
 AZIMUTH = np.radians(28.0)
 """Of the camera, off the direction in which both fingers' contacts are seen edge-on."""
 
-FOLLOW = 0.65
+FOLLOW = 0.55
 """Share of the lift that the camera follows: the rest shows the object rising."""
 
 
-def stress_ceiling(trials: list[TrialRecording]) -> float:
+def stress_ceiling(trials: Sequence[TrialRecording]) -> float:
     """Upper end of a colour scale that serves all trials [Pa]: their highest top-10 % stress."""
     return nice_ceiling(max(float(trial.stress.top10.max()) for trial in trials))
 
@@ -109,6 +109,11 @@ class Encoder:
         self._container.mux(self._stream.encode(frame))
 
 
+def frame_count(trial: TrialRecording, fps: int = FPS) -> int:
+    """How many pictures `write_video` renders."""
+    return len(_frame_times(trial, fps))
+
+
 def _frame_times(trial: TrialRecording, fps: int) -> Floats:
     first, last = trial.motion.times[[0, -1]]
     if last - first > LONGEST:
@@ -127,9 +132,7 @@ def _pictures(
     seed = f" · seed {trial.seed}" if trial.seed >= 0 else ""
     overlay = Overlay(width, height, stress_max, trial.gripper + seed)
     cameras = _cameras(trial, frames)
-    rise = lift(
-        trial.object_height, in_contact(trial.stress.left_force, trial.stress.right_force)
-    )
+    rise = lift(trial.object_height, in_contact(trial.stress.left_force, trial.stress.right_force))
     with SceneRenderer(
         trial.soft_body,
         (trial.left_finger, trial.right_finger),

@@ -1,0 +1,104 @@
+"""From the bags of a run to videos, summary and report."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from codesign_report.bag import BagError, read_trial, trial_metrics
+from codesign_report.recording import TrialRecording
+from codesign_report.report import SkippedBag, TrialResult, write_report, write_summary
+from codesign_report.video import frame_count, stress_ceiling, write_video
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What `build` wrote."""
+
+    page: Path
+    summary: Path
+    trials: list[TrialResult]
+    skipped: list[SkippedBag]
+
+
+def build(
+    run_dir: str | Path,
+    trials: Sequence[str | Path] | None = None,
+    progress: Progress | None = None,
+) -> RunReport:
+    """Render a video per trial and write summary.json and report.html into the run's folder.
+
+    All videos share one colour scale. Bags that can't be used are named in the report; the others
+    still appear.
+
+    Args:
+        run_dir: folder to write to.
+        trials: bags; None: every bag folder directly in `run_dir`.
+        progress: called with pictures done, pictures in total and the trial's name.
+
+    Raises:
+        BagError: no bag, or none that can be used.
+        RuntimeError: no offscreen OpenGL.
+        OSError: a file can't be written.
+    """
+    folder = Path(run_dir)
+    bags = find_bags(folder) if trials is None else [Path(bag) for bag in trials]
+    if not bags:
+        raise BagError(f"{folder}: holds no trial bags: record a trial into it first")
+    recordings, skipped = _read_all(bags)
+    if not recordings:
+        raise BagError(skipped[0].reason)
+    results = _render_all(recordings, folder, progress)
+    return RunReport(
+        page=write_report(results, folder / "report.html", skipped),
+        summary=write_summary(results, folder / "summary.json", skipped),
+        trials=results,
+        skipped=skipped,
+    )
+
+
+def find_bags(run_dir: Path) -> list[Path]:
+    """Folders directly in a run that hold a recording, by name.
+
+    Raises:
+        BagError: the run is not a folder.
+    """
+    if not run_dir.is_dir():
+        raise BagError(f"{run_dir}: is not a folder: give the folder of a run")
+    return sorted(
+        path
+        for path in run_dir.iterdir()
+        if path.is_dir() and ((path / "metadata.yaml").exists() or any(path.glob("*.mcap")))
+    )
+
+
+def _read_all(bags: Sequence[Path]) -> tuple[list[TrialRecording], list[SkippedBag]]:
+    recordings, skipped = [], []
+    for bag in bags:
+        try:
+            recordings.append(read_trial(bag))
+        except BagError as error:
+            skipped.append(SkippedBag(bag, str(error)))
+    return recordings, skipped
+
+
+def _render_all(
+    recordings: Sequence[TrialRecording], folder: Path, progress: Progress | None
+) -> list[TrialResult]:
+    maximum = stress_ceiling(recordings)
+    total = sum(frame_count(recording) for recording in recordings)
+    done = 0
+    results = []
+    for recording in recordings:
+
+        def report(frame: int, _: int, before: int = done, name: str = recording.name) -> None:
+            if progress:
+                progress(before + frame, total, name)
+
+        metrics = trial_metrics(recording)
+        video = folder / f"{recording.name}.mp4"
+        write_video(recording, video, stress_max=maximum, progress=report)
+        results.append(TrialResult(recording, metrics, video))
+        done += frame_count(recording)
+    return results

@@ -1,0 +1,124 @@
+"""Time series as inline SVG: no plotting library, styled and animated by the page around it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from codesign_report.overlay import nice_ceiling, nice_ticks
+from codesign_report.recording import Floats
+
+WIDTH, HEIGHT = 640, 150
+LEFT, RIGHT, TOP, BOTTOM = 58, 628, 10, 124
+"""Plot area within the picture [px of the viewBox]."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """A curve: name, times (T,) [s] and values (T,) in the chart's unit."""
+
+    name: str
+    times: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Curves over a common time axis, with optional level to compare with.
+
+    Attributes:
+        title: with no unit.
+        unit: of the values.
+        series: curves.
+        level: (name, value) of a horizontal line.
+        band: (start, stop) of the shaded time [s].
+        decimals: of the values shown at the cursor.
+    """
+
+    title: str
+    unit: str
+    series: Sequence[Series]
+    level: tuple[str, float] | None = None
+    band: tuple[float, float] | None = None
+    decimals: int = 0
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One drawn curve: its path and what the cursor reads."""
+
+    name: str
+    path: str
+    times: list[float]
+    values: list[float]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A chart laid out in viewBox pixels, for the template."""
+
+    chart: Chart
+    curves: list[Curve]
+    y_ticks: list[tuple[float, str]]
+    x_ticks: list[tuple[float, str]]
+    level: float | None
+    band: tuple[float, float] | None
+    start: float
+    stop: float
+    alt: str
+
+
+def draw(chart: Chart, start: float, stop: float) -> Drawing:
+    """Lay a chart out over the time from `start` to `stop` [s]; the y axis starts at 0 or below."""
+    values = np.concatenate([s.values for s in chart.series])
+    if chart.level and np.isfinite(chart.level[1]):
+        values = np.append(values, chart.level[1])
+    low, high = min(0.0, float(values.min())), float(values.max())
+    top = nice_ceiling(max(high, -low, 1e-9))
+    bottom = -nice_ceiling(-low) if low < -0.05 * top else 0.0
+    span = max(stop - start, 1e-9)
+
+    def x(t: float) -> float:
+        return round(LEFT + (RIGHT - LEFT) * (t - start) / span, 1)
+
+    def y(value: float) -> float:
+        share = (np.clip(value, bottom, top) - bottom) / (top - bottom)
+        return round(float(BOTTOM - (BOTTOM - TOP) * share), 1)
+
+    ticks = [-v for v in nice_ticks(-bottom, 3)[:0:-1]] if bottom < 0.0 else []
+    level = y(chart.level[1]) if chart.level and np.isfinite(chart.level[1]) else None
+    return Drawing(
+        chart=chart,
+        curves=[_curve(s, x, y) for s in chart.series],
+        y_ticks=[(y(v), _label(v)) for v in [*ticks, *nice_ticks(top, 4)]],
+        x_ticks=[(x(start + v), _label(v)) for v in nice_ticks(span, 9)[:-1]],
+        level=level,
+        band=(x(chart.band[0]), x(chart.band[1])) if chart.band else None,
+        start=start,
+        stop=stop,
+        alt=_alt(chart),
+    )
+
+
+def _curve(series: Series, x, y) -> Curve:  # type: ignore[no-untyped-def]
+    points = [f"{x(t)},{y(v)}" for t, v in zip(series.times, series.values, strict=True)]
+    return Curve(
+        series.name,
+        "M" + "L".join(points),
+        [round(float(t), 3) for t in series.times],
+        [float(f"{v:.5g}") for v in series.values],
+    )
+
+
+def _label(value: float) -> str:
+    text = f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return text.replace(",", " ").replace("-", "−")
+
+
+def _alt(chart: Chart) -> str:
+    """What the chart shows, in words."""
+    parts = [
+        f"{s.name} from {_label(s.values.min())} to {_label(s.values.max())} {chart.unit}"
+        for s in chart.series
+    ]
+    return f"{chart.title} over time: {'; '.join(parts)}."
