@@ -372,7 +372,7 @@ class Simulator:
             "gravity_x": self.gravity[0],
             "gravity_y": self.gravity[1],
             "gravity_z": self.gravity[2],
-            "top_speed": CELL_SHARE * self.block.smallest_edge / self.time_step,
+            "top_speed": self.top_speed,
             "contact_stiffness": self.contact_stiffness,
             "obstacles": obstacles,
             "finger_speed": speed,
@@ -460,6 +460,11 @@ class Simulator:
         self._require_reset()
         self._launch(kernels.elastic_kernel)
         return self._read_rows(self._scene.forces)
+
+    @property
+    def top_speed(self) -> float:
+        """Speed in m/s at which nodes are held, so that violent contact stays bounded."""
+        return CELL_SHARE * self.block.smallest_edge / self.time_step
 
     @property
     def positions(self) -> np.ndarray:
