@@ -1,6 +1,6 @@
 """Time series as inline SVG: no plotting library, styled and animated by the page around it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,14 +68,19 @@ class Drawing:
     alt: str
 
 
-def draw(chart: Chart, start: float, stop: float) -> Drawing:
-    """Lay a chart out over the time from `start` to `stop` [s]; the y axis starts at 0 or below."""
-    values = np.concatenate([s.values for s in chart.series])
-    if chart.level and np.isfinite(chart.level[1]):
-        values = np.append(values, chart.level[1])
-    low, high = min(0.0, float(values.min())), float(values.max())
-    top = nice_ceiling(max(high, -low, 1e-9))
-    bottom = -nice_ceiling(-low) if low < -0.05 * top else 0.0
+def limits(charts: Collection[Chart]) -> tuple[float, float]:
+    """Round ends of a y axis that fits all the charts; 0 is always on it."""
+    values = [s.values for chart in charts for s in chart.series]
+    values += [np.array([c.level[1]]) for c in charts if c.level and np.isfinite(c.level[1])]
+    low = min(0.0, *(float(v.min()) for v in values))
+    top = nice_ceiling(max(0.0, *(float(v.max()) for v in values)))
+    # A little below 0 is noise: it is not worth a longer axis.
+    return (-nice_ceiling(-low) if low < -0.05 * top else 0.0), top
+
+
+def draw(chart: Chart, start: float, stop: float, axis: tuple[float, float]) -> Drawing:
+    """Lay a chart out over the time from `start` to `stop` [s] and the values of `axis`."""
+    bottom, top = axis
     span = max(stop - start, 1e-9)
 
     def x(t: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from codesign_policy import metrics as definitions
 from codesign_policy.metrics import GraspMetrics, in_contact, lift, score
-from codesign_report.charts import Chart, Drawing, Series, draw
+from codesign_report.charts import Chart, Drawing, Series, draw, limits
 from codesign_report.files import write_text
 from codesign_report.recording import TrialRecording
 
@@ -52,10 +52,11 @@ def write_report(
         raise ValueError("trials is empty: give at least one")
     template = _environment().get_template("report.html")
     ordered = sorted(trials, key=lambda r: (r.recording.seed, r.recording.gripper))
-    by_seed = groupby(ordered, key=lambda r: r.recording.seed)
+    cards = _cards(ordered)
+    by_seed = groupby(cards, key=lambda card: card.result.recording.seed)
     page = template.render(
         trials=ordered,
-        seeds=[(seed, [_card(result) for result in group]) for seed, group in by_seed],
+        seeds=[(seed, list(group)) for seed, group in by_seed],
         grippers=_by_gripper(ordered),
         skipped=skipped,
         size=_object_size(ordered[0].recording),
@@ -152,15 +153,28 @@ class _Aggregate:
     score: float
 
 
-def _card(result: TrialResult) -> _Card:
+def _cards(results: Sequence[TrialResult]) -> list[_Card]:
+    """One per trial; charts of the same kind share one scale, so that they can be compared."""
+    charts = [_charts(result.recording) for result in results]
+    kinds = {chart.title for trial in charts for chart in trial}
+    axes = {
+        kind: limits([c for trial in charts for c in trial if c.title == kind]) for kind in kinds
+    }
+    return [_card(result, own, axes) for result, own in zip(results, charts, strict=True)]
+
+
+def _card(
+    result: TrialResult, charts: Sequence[Chart], axes: dict[str, tuple[float, float]]
+) -> _Card:
     trial = result.recording
     start, stop = trial.motion.times[[0, -1]].tolist()
+    drawings = [draw(chart, start, stop, axes[chart.title]) for chart in charts]
     video = poster = ""
     if result.video:
         video = _data_uri("video/mp4", result.video.read_bytes())
         worst = trial.stress.times[int(np.argmax(trial.stress.top10))]
         poster = _data_uri("image/jpeg", _still(result.video, float(worst) - start))
-    return _Card(result, [draw(c, start, stop) for c in _charts(trial)], video, poster)
+    return _Card(result, drawings, video, poster)
 
 
 def _charts(trial: TrialRecording) -> list[Chart]:

@@ -1,0 +1,71 @@
+"""How well a recorded graph kept its rates, from the stamps in its bag."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codesign_report.bag import BagError
+
+TOPICS = ("/action", "/joint_command", "/joint_states")
+PAUSE = 0.5  # s; a longer silence is the time between two trials
+
+
+@dataclass(frozen=True)
+class GraphTiming:
+    """Milliseconds, percentiles over one recording.
+
+    Attributes:
+        action_to_command: from an action's stamp to that of the first joint command that
+            contains it, (A,).
+        controller_period: between joint commands, (C,).
+        policy_period: between actions, (P,).
+        state_period: between joint states, (S,).
+        actions_lost: actions that no joint command contains.
+    """
+
+    action_to_command: np.ndarray
+    controller_period: np.ndarray
+    policy_period: np.ndarray
+    state_period: np.ndarray
+    actions_lost: int
+
+
+def graph_timing(bag: str | Path) -> GraphTiming:
+    """Reads the stamps of a recording made at real time.
+
+    Raises:
+        BagError: not a bag, or without actions and joint commands.
+    """
+    from rosbags.highlevel import AnyReader
+
+    sent: dict[int, int] = {}
+    answered: dict[int, int] = {}
+    stamps: dict[str, list[int]] = {topic: [] for topic in TOPICS}
+    with AnyReader([Path(bag)]) as reader:
+        wanted = [c for c in reader.connections if c.topic in TOPICS]
+        for connection, _, data in reader.messages(wanted):
+            message: Any = reader.deserialize(data, connection.msgtype)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            stamps[connection.topic].append(stamp)
+            if connection.topic == "/action":
+                sent[message.sequence] = stamp
+            elif connection.topic == "/joint_command" and message.action_sequence:
+                answered.setdefault(message.action_sequence, stamp)
+    if not sent or not answered:
+        raise BagError(f"{bag}: no /action that a /joint_command answers")
+    both = sorted(sent.keys() & answered.keys())
+    last = max(answered)
+    return GraphTiming(
+        action_to_command=np.array([(answered[k] - sent[k]) * 1e-6 for k in both]),
+        controller_period=_periods(stamps["/joint_command"]),
+        policy_period=_periods(stamps["/action"]),
+        state_period=_periods(stamps["/joint_states"]),
+        actions_lost=sum(k not in answered for k in sent if k <= last),
+    )
+
+
+def _periods(stamps: list[int]) -> np.ndarray:
+    periods = np.diff(np.sort(np.array(stamps))) * 1e-6
+    return periods[periods < PAUSE * 1e3]
