@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +75,7 @@ def displaced(start: pin.SE3, delta: np.ndarray) -> pin.SE3:
 
 def bounded(delta: np.ndarray, translation: float, rotation: float) -> np.ndarray:
     """(6,) `delta` with its two parts shortened to at most `translation` m and `rotation` rad."""
-    moved, turned = np.linalg.norm(delta[:3]), np.linalg.norm(delta[3:])
+    moved, turned = math.hypot(*delta[:3]), math.hypot(*delta[3:])
     result = delta.copy()
     if moved > translation:
         result[:3] *= translation / moved

@@ -220,6 +220,7 @@ class CartesianServo:
         the last call. Never raises on bad values: they end in a FAULT, braking.
         """
         self._observe(measured_q, now)
+        braking = not self._motion.state.at_rest  # the last set-point of a stop is still sent
         following = self.state is ServoState.MOVING and self._goal_state is not GoalState.RUNNING
         # Written so that NaN and a clock that went backwards count as stale too.
         if following and not 0.0 <= now - self._action_time <= self.config.action_timeout:
@@ -230,7 +231,7 @@ class CartesianServo:
         except TrajectoryError as error:
             self._motion.brake()
             self.fault(str(error))
-        return self._output()
+        return self._output(braking)
 
     @property
     def commanded_pose(self) -> Pose:
@@ -391,7 +392,7 @@ class CartesianServo:
             ("rotation", turned, self.config.action_rotation, "rad"),
         )
         for name, vector, limit, unit in limits:
-            size = float(np.linalg.norm(vector))
+            size = math.hypot(*vector)
             if size > limit * (1 + 1e-9):
                 raise ValueError(f"{name}: {size:.6g} {unit}, limit of one action {limit:g} {unit}")
         return np.concatenate([moved, turned])
@@ -400,9 +401,8 @@ class CartesianServo:
         new = {name: getattr(self.counters, name) + n for name, n in increments.items()}
         self.counters = replace(self.counters, **new)
 
-    def _output(self) -> ServoOutput:
-        enabled = self.state not in (ServoState.DISABLED, ServoState.FAULT)
-        active = enabled or not self._motion.state.at_rest
+    def _output(self, braking: bool) -> ServoOutput:
+        active = braking or self.state not in (ServoState.DISABLED, ServoState.FAULT)
         state = self._motion.state
         if not active and self._measured is not None:
             state = JointState.standing(self._measured)

@@ -58,8 +58,10 @@ class Run:
         config, dt = self.servo.config, self.servo.config.period
         q, tcp = self.joints(), self.tcp()
         assert np.isfinite(q).all()
-        assert (q >= self.arm.lower).all() and (q <= self.arm.upper).all()
-        assert (tcp >= config.box_lower).all() and (tcp <= config.box_upper).all()
+        assert (q >= self.arm.lower).all()
+        assert (q <= self.arm.upper).all()
+        assert (tcp >= config.box_lower).all()
+        assert (tcp <= config.box_upper).all()
         for order, limit in enumerate(
             (config.joint_velocity, config.joint_acceleration, config.joint_jerk), start=1
         ):

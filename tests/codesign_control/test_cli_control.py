@@ -32,7 +32,7 @@ def test_fk_measures_the_error_of_a_shifted_and_a_turned_pose(tmp_path: Path) ->
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     pose = {
         "q_rad": Xarm7().home.tolist(),
-        "flange_position_m": (home.position + [0.003, 0.0, 0.004]).tolist(),
+        "flange_position_m": (home.position + np.array([0.003, 0.0, 0.004])).tolist(),
         "flange_rotation": (turn @ home.rotation).tolist(),
     }
     path = tmp_path / "poses.json"
@@ -58,7 +58,10 @@ GOOD = {"q_rad": [0] * 7, "flange_position_m": [0] * 3, "flange_rotation": np.ey
         ("[]", '"poses"'),
         ('{"poses": []}', "non-empty"),
         ('{"poses": [3]}', "poses[0]: expected an object"),
-        (json.dumps({"poses": [GOOD, {"q_rad": [0] * 7}]}), "poses[1]: flange_position_m is missing"),
+        (
+            json.dumps({"poses": [GOOD, {"q_rad": [0] * 7}]}),
+            "poses[1]: flange_position_m is missing",
+        ),
         (json.dumps({"poses": [GOOD | {"q_rad": [0] * 6}]}), "poses[0].q_rad: expected (7,)"),
         (json.dumps({"poses": [GOOD | {"q_rad": ["x"] * 7}]}), "poses[0].q_rad: not numbers"),
         (json.dumps({"poses": [GOOD | {"q_rad": [float("nan")] * 7}]}), "finite"),
