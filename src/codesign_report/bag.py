@@ -24,7 +24,7 @@ from codesign_report.recording import (
 REQUIRED = ("/stress", "/simulation_state", "/soft_body_mesh", "/finger_design", "/object_pose")
 OPTIONAL = ("/gripper_state", "/trial_state")
 
-RUNNING, FINISHED, FAILED = 2, 3, 4  # TrialState.msg
+RUNNING, FINISHED = 2, 3  # TrialState.msg
 
 Messages = dict[str, list[Any]]
 
@@ -49,8 +49,8 @@ def read_trial(bag: str | Path) -> TrialRecording:
     start, stop = _window(messages)
     if not start <= stop:
         raise BagError(
-            f"{path}: the policy starts {(start - stop) * 1e-9:.3f} s after the last "
-            "stress sample: record the whole trial"
+            f"{path}: the policy starts {(start - stop) * 1e-9:.3f} s after the recording's end: "
+            "record the whole trial"
         )
     gripper, seed, domain = _label(path, messages)
     times, positions = _series(path, messages, "/object_pose", start, stop, _position)
@@ -146,21 +146,29 @@ def _source(path: Path) -> Path:
 
 
 def _stamp(message: Any) -> int:
-    """[ns]; an integer, since a double near 2e9 s would round to 0.2 us."""
-    stamp = message.header.stamp
+    """header.stamp [ns]."""
+    return _nanoseconds(message.header.stamp)
+
+
+def _nanoseconds(stamp: Any) -> int:
+    """An integer, since a double near 2e9 s would round to 0.2 us."""
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 def _window(messages: Messages) -> tuple[int, int]:
-    """Stamps [ns] between which the policy ran; the whole stress series without trial states."""
+    """Stamps [ns] between which the policy ran; the whole stress series if nobody told."""
     stress = [_stamp(m) for m in messages["/stress"]]
-    start, stop = min(stress), max(stress)
-    running = [_stamp(m) for m in messages["/trial_state"] if m.state == RUNNING]
-    ended = [_stamp(m) for m in messages["/trial_state"] if m.state in (FINISHED, FAILED)]
-    if running:
-        start = min(running)
-        stop = min((t for t in ended if t >= start), default=stop)
-    return start, stop
+    states = messages["/trial_state"]
+    if states and states[-1].state == FINISHED:
+        return _nanoseconds(states[-1].started), _nanoseconds(states[-1].ended)
+    # Failed or cut off: from when it last began to run.
+    running = len(states)
+    while running and states[running - 1].state != RUNNING:
+        running -= 1
+    while running and states[running - 1].state == RUNNING:
+        running -= 1
+    began = next((_stamp(m) for m in states[running:] if m.state == RUNNING), min(stress))
+    return began, max(stress)
 
 
 def _series(

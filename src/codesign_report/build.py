@@ -26,6 +26,8 @@ def build(
     run_dir: str | Path,
     trials: Sequence[str | Path] | None = None,
     progress: Progress | None = None,
+    *,
+    size: tuple[int, int] = (1280, 720),
 ) -> RunReport:
     """Render a video per trial and write summary.json and report.html into the run's folder.
 
@@ -36,9 +38,11 @@ def build(
         run_dir: folder to write to.
         trials: bags; None: every bag folder directly in `run_dir`.
         progress: called with pictures done, pictures in total and the trial's name.
+        size: width and height of the videos, even [px].
 
     Raises:
         BagError: no bag, or none that can be used.
+        ValueError: two trials have the same name, or the size makes no sense.
         RuntimeError: no offscreen OpenGL.
         OSError: a file can't be written.
     """
@@ -49,7 +53,8 @@ def build(
     recordings, skipped = _read_all(bags)
     if not recordings:
         raise BagError(skipped[0].reason)
-    results = _render_all(recordings, folder, progress)
+    _require_distinct(recordings)
+    results = _render_all(recordings, folder, size, progress)
     return RunReport(
         page=write_report(results, folder / "report.html", skipped),
         summary=write_summary(results, folder / "summary.json", skipped),
@@ -73,6 +78,13 @@ def find_bags(run_dir: Path) -> list[Path]:
     )
 
 
+def _require_distinct(recordings: Sequence[TrialRecording]) -> None:
+    names = [recording.name for recording in recordings]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"two bags are named {twice[0]}: their videos would overwrite each other")
+
+
 def _read_all(bags: Sequence[Path]) -> tuple[list[TrialRecording], list[SkippedBag]]:
     recordings, skipped = [], []
     for bag in bags:
@@ -84,7 +96,10 @@ def _read_all(bags: Sequence[Path]) -> tuple[list[TrialRecording], list[SkippedB
 
 
 def _render_all(
-    recordings: Sequence[TrialRecording], folder: Path, progress: Progress | None
+    recordings: Sequence[TrialRecording],
+    folder: Path,
+    size: tuple[int, int],
+    progress: Progress | None,
 ) -> list[TrialResult]:
     maximum = stress_ceiling(recordings)
     total = sum(frame_count(recording) for recording in recordings)
@@ -98,7 +113,9 @@ def _render_all(
 
         metrics = trial_metrics(recording)
         video = folder / f"{recording.name}.mp4"
-        write_video(recording, video, stress_max=maximum, progress=report)
+        write_video(
+            recording, video, stress_max=maximum, width=size[0], height=size[1], progress=report
+        )
         results.append(TrialResult(recording, metrics, video))
         done += frame_count(recording)
     return results

@@ -21,6 +21,7 @@ from codesign_report.recording import GRAVITY, SoftBody, TriangleMesh
 
 MESSAGES = Path(__file__).parents[2] / "ros_ws/src/codesign_interfaces/msg"
 START = 1_700_000_000_250_000_000  # ns; stamps are not zero-based
+POLICY_START = 0.2  # s
 SIZE = np.array([0.03, 0.05, 0.04])
 CENTER = np.array([0.45, 0.05])
 DOMAIN = {
@@ -188,12 +189,14 @@ class BagWriter:
         package, name = kind.split("/")
         return self.store.types[f"{package}/msg/{name}"](**fields)
 
-    def header(self, t, frame="link_base"):
-        nanoseconds = START + round(t * 1e9)
-        stamp = self.make(
+    def stamp(self, t):
+        nanoseconds = 0 if t is None else START + round(t * 1e9)
+        return self.make(
             "builtin_interfaces/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
         )
-        return self.make("std_msgs/Header", stamp=stamp, frame_id=frame)
+
+    def header(self, t, frame="link_base"):
+        return self.make("std_msgs/Header", stamp=self.stamp(t), frame_id=frame)
 
     def vector(self, values):
         x, y, z = map(float, values)
@@ -234,7 +237,7 @@ class BagWriter:
         for t in np.arange(0.0, trial.duration + 1e-9, 0.02):
             yield t, "/object_pose", "geometry_msgs/PoseStamped", self.object_pose(t)
             yield t, "/gripper_state", "codesign_interfaces/GripperState", self.gripper_state(t)
-        for t, state in ((0.0, 1), (0.2, 2), (trial.duration, 3)):
+        for t, state in ((0.0, 1), (0.21, 2), (trial.duration + 0.3, 3)):
             yield t, "/trial_state", "codesign_interfaces/TrialState", self.trial_state(t, state)
 
     def soft_body_mesh(self):
@@ -322,6 +325,8 @@ class BagWriter:
             gripper=self.trial.gripper,
             seed=self.trial.seed,
             elapsed=t,
+            started=self.stamp(POLICY_START) if state == 3 else self.stamp(None),
+            ended=self.stamp(self.trial.duration) if state == 3 else self.stamp(None),
             domain=self.domain(),
             metrics=self.make(
                 "codesign_interfaces/TrialMetrics",
@@ -341,9 +346,9 @@ class BagWriter:
         )
 
 
-def write_bag(path, trial=None):
+def write_bag(path, trial=None, writer_class=BagWriter):
     """A rosbag2 folder (MCAP, format 9) with type hashes and offered QoS, received 5 ms late."""
-    writer = BagWriter(trial or SyntheticTrial())
+    writer = writer_class(trial or SyntheticTrial())
     messages = [m for m in writer.messages() if m[1] not in writer.trial.leave_out]
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         connections = {}
