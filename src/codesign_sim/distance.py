@@ -7,12 +7,16 @@ from functools import lru_cache
 
 import numpy as np
 import warp as wp
+from scipy import ndimage
 
 import codesign_sim.kernels  # noqa: F401  (makes Warp quiet before its first use)
 from codesign_sim.mesh import SurfaceMesh
 
 SPACING = 1e-3  # metres; edges sharper than this are rounded to about it
 _MARGIN_CELLS = 2
+BAND = wp.constant(
+    4e-3
+)  # metres; beyond this depth, which no grasp reaches, distances are approximate
 _LARGEST = 20_000_000  # cells; 80 MB
 
 wp.set_module_options({"enable_backward": False})
@@ -43,11 +47,24 @@ class DistanceGrid:
 
 
 @wp.kernel
-def _signed_distance(mesh: wp.uint64, points: wp.array[wp.vec3], distance: wp.array[wp.float32]):
+def _distance_within_band(
+    mesh: wp.uint64, points: wp.array[wp.vec3], distance: wp.array[wp.float32]
+):
     i = wp.tid()
-    hit = wp.mesh_query_point_sign_normal(mesh, points[i], 1.0e6)
-    nearest = wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)  # type: ignore[attr-defined]
-    distance[i] = hit.sign * wp.length(points[i] - nearest)  # type: ignore
+    hit = wp.mesh_query_point_no_sign(mesh, points[i], BAND)
+    if hit.result:  # type: ignore[attr-defined]
+        nearest = wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)  # type: ignore
+        distance[i] = wp.length(points[i] - nearest)  # type: ignore
+    else:
+        distance[i] = BAND  # type: ignore
+
+
+@wp.kernel
+def _sign(mesh: wp.uint64, points: wp.array[wp.vec3], sign: wp.array[wp.float32]):
+    # By winding number: the sign of the nearest face's normal errs beside sharp edges.
+    i = wp.tid()
+    hit = wp.mesh_query_point_sign_winding_number(mesh, points[i], 1.0e6)
+    sign[i] = hit.sign  # type: ignore
 
 
 def bake(mesh: SurfaceMesh, spacing: float = SPACING) -> DistanceGrid:
@@ -88,12 +105,42 @@ def _bake_cached(key: _ByContent, spacing: float) -> DistanceGrid:
     surface = wp.Mesh(
         points=wp.array(mesh.vertices, dtype=wp.vec3, device="cpu"),
         indices=wp.array(mesh.faces.ravel(), dtype=wp.int32, device="cpu"),
+        support_winding_number=True,
     )
-    distance = wp.zeros(len(points), dtype=wp.float32, device="cpu")
-    wp.launch(
-        _signed_distance,
-        dim=len(points),
-        inputs=[surface.id, wp.array(points, dtype=wp.vec3, device="cpu"), distance],
-        device="cpu",
-    )
-    return DistanceGrid(low, spacing, distance.numpy().reshape(shape[::-1]).copy())
+    distance = _query(_distance_within_band, surface, points).reshape(shape[::-1])
+    signs = _signs(surface, points, distance, spacing)
+    return DistanceGrid(low, spacing, (signs * _beyond_band(distance, spacing)).astype(np.float32))
+
+
+def _query(kernel: wp.Kernel, surface: wp.Mesh, points: np.ndarray) -> np.ndarray:
+    result = wp.zeros(len(points), dtype=wp.float32, device="cpu")
+    where: wp.array = wp.array(points, dtype=wp.vec3, device="cpu")
+    wp.launch(kernel, dim=len(points), inputs=[surface.id, where, result], device="cpu")
+    return result.numpy()
+
+
+def _signs(
+    surface: wp.Mesh, points: np.ndarray, distance: np.ndarray, spacing: float
+) -> np.ndarray:
+    """-1 inside and +1 outside.
+
+    No surface passes between neighbours that are both farther than half a cell from it, so one
+    query decides a whole connected region; only what is nearer is asked point by point.
+    """
+    far, _ = ndimage.label(distance > 0.501 * spacing)
+    near = np.flatnonzero(far == 0)
+    regions, first = np.unique(far, return_index=True)
+    by_region = np.zeros(len(regions) + 1)
+    by_region[regions] = _query(_sign, surface, points[first])
+    signs = by_region[far]
+    signs.ravel()[near] = _query(_sign, surface, points[near])
+    return signs
+
+
+def _beyond_band(distance: np.ndarray, spacing: float) -> np.ndarray:
+    """Fills distances beyond the band: that of the nearest point in it, and the way there."""
+    beyond = distance >= BAND
+    if not beyond.any():
+        return distance
+    way, nearest = ndimage.distance_transform_edt(beyond, sampling=spacing, return_indices=True)
+    return np.where(beyond, distance[tuple(nearest)] + way, distance)
