@@ -34,6 +34,10 @@ class JointState:
     def standing(position: np.ndarray) -> JointState:
         return JointState(np.array(position, dtype=float), np.zeros(DOF), np.zeros(DOF))
 
+    def profile(self) -> np.ndarray:
+        """(1, 3, 7): this state as a profile (see JointMotion) of one tick."""
+        return np.array([[self.position, self.velocity, self.acceleration]])
+
     @property
     def at_rest(self) -> bool:
         return bool(
@@ -46,7 +50,11 @@ class TrajectoryError(RuntimeError):
 
 
 class JointMotion:
-    """The commanded joint state and the stop that is known to be safe from it."""
+    """The commanded joint state and the stop that is known to be safe from it.
+
+    A profile is a (n, 3, 7) array: position, velocity and acceleration at n coming ticks, standing
+    at the last one.
+    """
 
     def __init__(self, arm: Xarm7, config: ServoConfig, position: np.ndarray) -> None:
         self._arm = arm
@@ -59,24 +67,30 @@ class JointMotion:
     def stand(self, position: np.ndarray) -> None:
         """Starts again at rest at `position`."""
         self.state = JointState.standing(position)
-        self._stop = [self.state]  # states at the coming ticks; the last one stands
+        self._stop = self.state.profile()
 
     @property
     def stop_position(self) -> np.ndarray:
         """(7,) where the arm would stand if it braked from now on."""
-        return self._stop[-1].position
+        return self._stop[-1, 0]
 
     def brake(self) -> None:
         """One tick along the safe stop."""
-        self.state = self._stop.pop(0) if len(self._stop) > 1 else self._stop[0]
+        self.state = JointState(*self._stop[0])
+        self._stop = self._stop[1:] if len(self._stop) > 1 else self._stop
 
     def follow_velocity(self, velocity: np.ndarray) -> bool:
         """One tick towards a joint velocity; False when that was unsafe and the arm braked."""
-        return self._take(self._towards(velocity))
+        return self.follow(self._towards(velocity))
 
     def follow(self, state: JointState) -> bool:
-        """One tick to `state` (of a planned trajectory); False when unsafe and the arm braked."""
-        return self._take(state)
+        """One tick to `state`; False when no safe stop starts there and the arm braked instead."""
+        stop = self._safe_stop(state)
+        if stop is None:
+            self.brake()
+            return False
+        self.state, self._stop = state, stop
+        return True
 
     def plan(self, goal: np.ndarray, speed_scale: float) -> list[JointState]:
         """States at the coming ticks of a jerk-limited motion to `goal`, where it stands.
@@ -89,23 +103,15 @@ class JointMotion:
         request.synchronization = Synchronization.Time
         for _ in range(PLAN_ATTEMPTS):
             request.max_velocity = [self._config.joint_velocity * speed_scale] * DOF
-            states = self._sample(request)
-            path = self._tcp_path([self.state, *states])
+            motion = self._sample(request)
+            path = self._tcp_path(motion)
             speed = self._peak_speed(path)
             if speed <= self._config.tcp_speed_limit:
                 break
             speed_scale *= 0.95 * self._config.tcp_speed_limit / speed
-        if not self._inside(states, path):
+        if not self._inside(motion, path):
             raise ValueError("the way leaves the joint limits, the box or the TCP speed limit")
-        return states
-
-    def _take(self, candidate: JointState) -> bool:
-        stop = self._safe_stop(candidate)
-        if stop is None:
-            self.brake()
-            return False
-        self.state, self._stop = candidate, stop
-        return True
+        return [JointState(*state) for state in motion]
 
     def _towards(self, velocity: np.ndarray) -> JointState:
         """The state after one tick of constant jerk towards a joint velocity.
@@ -126,34 +132,36 @@ class JointMotion:
             q + dt * (v + dt * (a / 2 + dt * jerk / 6)), v + dt * (a + dt * jerk / 2), a + dt * jerk
         )
 
-    def _safe_stop(self, state: JointState) -> list[JointState] | None:
-        """The stop from `state`, tick by tick, or None where it would leave a limit."""
+    def _safe_stop(self, state: JointState) -> np.ndarray | None:
+        """Profile of the stop from `state`, or None where it would leave a limit."""
         if np.abs(state.acceleration).max() > self._config.joint_acceleration * (1 + ROUNDING):
             return None
         if state.at_rest:
-            stop = [JointState.standing(state.position)]
+            stop = JointState.standing(state.position).profile()
         else:
             request = self._request(state)
             request.control_interface = ControlInterface.Velocity
             # Joints that stop together keep the TCP nearer to its path than each as soon as it can.
             request.synchronization = Synchronization.Phase
             stop = self._sample(request)
-        ahead = [self.state, state, *stop]
+        ahead = np.concatenate([state.profile(), stop])
         return stop if self._inside(ahead, self._tcp_path(ahead)) else None
 
-    def _inside(self, states: list[JointState], path: np.ndarray) -> bool:
-        """Whether the states and their (n, 3) TCP path keep every limit but acceleration, jerk."""
-        speed = np.abs([state.velocity for state in states]).max()
-        return (
-            self._arm.within_limits(np.array([state.position for state in states]))
-            and bool((path >= self._box_lower).all() and (path <= self._box_upper).all())
+    def _inside(self, profile: np.ndarray, path: np.ndarray) -> bool:
+        """Whether a profile and its TCP path keep every limit but acceleration and jerk."""
+        speed = np.abs(profile[:, 1]).max()
+        return bool(
+            self._arm.within_limits(profile[:, 0])
+            and (path >= self._box_lower).all()
+            and (path <= self._box_upper).all()
             and speed <= self._config.joint_velocity * (1 + ROUNDING)
             and self._peak_speed(path) <= self._config.tcp_speed_limit * (1 + ROUNDING)
         )
 
-    def _tcp_path(self, states: list[JointState]) -> np.ndarray:
-        """(n, 3) positions of `link_tcp` [m]."""
-        return np.array([self._arm.tcp_placement(state.position).translation for state in states])
+    def _tcp_path(self, profile: np.ndarray) -> np.ndarray:
+        """(n + 1, 3) positions of `link_tcp` [m], from where it is now along a profile."""
+        positions = [self.state.position, *profile[:, 0]]
+        return np.array([self._arm.tcp_placement(q).translation for q in positions])
 
     def _peak_speed(self, path: np.ndarray) -> float:
         """Largest speed [m/s] along a (n, 3) path of one point per tick."""
@@ -171,19 +179,18 @@ class JointMotion:
         request.max_jerk = [self._config.joint_jerk] * DOF
         return request
 
-    def _sample(self, request: InputParameter) -> list[JointState]:
-        """Ruckig's answer at the coming ticks, up to and including the first one at rest."""
+    def _sample(self, request: InputParameter) -> np.ndarray:
+        """Profile of Ruckig's answer, up to and including the first tick at which it stands."""
         trajectory = Trajectory(DOF)
         result = self._generator.calculate(request, trajectory)
         if result not in (Result.Working, Result.Finished):
             raise TrajectoryError(f"Ruckig: {result.name} for {request}")
         dt = self._config.period
-        ticks = int(np.ceil(trajectory.duration / dt))
-        states = [
-            JointState(*(np.array(part) for part in trajectory.at_time(i * dt)[:3]))
-            for i in range(1, ticks)
-        ]
-        return [*states, JointState.standing(trajectory.at_time(trajectory.duration)[0])]
+        ticks = max(1, int(np.ceil(trajectory.duration / dt)))
+        times = [i * dt for i in range(1, ticks)] + [trajectory.duration]
+        profile = np.array([trajectory.at_time(time)[:3] for time in times])
+        profile[-1, 1:] = 0.0  # exactly, where Ruckig's answer is rounded
+        return profile
 
 
 def _scale_into(values: np.ndarray, limit: np.ndarray | float) -> float:
