@@ -2,12 +2,16 @@
 
 import typer
 
-from codesign_cli import control, sim
+from codesign_cli import control, demo, graph, report, sim
 
 app = typer.Typer(
     help="End-effector co-design: simulate, control, record and report fragile-object grasps.",
     no_args_is_help=True,
     pretty_exceptions_show_locals=False,
 )
-app.add_typer(sim.app, name="sim")
+app.command()(demo.demo)
+app.command()(report.report)
+app.add_typer(report.bag_app, name="bag")
 app.add_typer(control.app, name="control")
+app.add_typer(graph.app, name="graph")
+app.add_typer(sim.app, name="sim")

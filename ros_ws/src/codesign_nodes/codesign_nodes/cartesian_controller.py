@@ -75,9 +75,11 @@ class CartesianController(Node):
         self._arm = Xarm7()
         self._servo = CartesianServo(self._arm, self._config)
         self._gripper = GripperModel()
+        self._joint_state: JointState | None = None
+        self._gripper_state: GripperState | None = None
         self._measured: np.ndarray | None = None
         self._measured_is_new = False
-        self._width: float | None = None  # measured
+        self._width = math.nan  # measured
         self._width_target: float | None = None
         self._width_speed = 0.0
         self._last_action = ControlAction()
@@ -163,14 +165,16 @@ class CartesianController(Node):
 
     def _on_timer(self) -> None:
         self._now = time.monotonic()
-        self._step(self.get_clock().now().to_msg())
+        self._step(None)
 
-    def _step(self, stamp: Any) -> None:
+    def _step(self, stamp: Any | None) -> None:
+        """One set-point, stamped with the simulated tick, or with the time when it is ready."""
         measured = self._measured if self._measured_is_new else None
         self._measured_is_new = False
         output = self._servo.step(measured, self._now)
         changed = self._output is None or output.state != self._output.state
         self._output = output
+        stamp = stamp or self.get_clock().now().to_msg()
         if output.active:
             self._commands = (self._joint_command(output, stamp), self._gripper_command(stamp))
             self._publish_commands()
@@ -203,7 +207,7 @@ class CartesianController(Node):
     def _gap_target(self) -> float:
         """What the gripper is to do now: hold what it measures until something else is asked."""
         if self._width_target is None:
-            self._width_target = self._width if self._width is not None else self._gripper.max_width
+            self._width_target = self._width
         return self._width_target
 
     # --- observations
@@ -212,26 +216,44 @@ class CartesianController(Node):
         if len(message.position) < 7:
             self._reject(f"joint state with {len(message.position)} positions: must be 7")
             return
-        self._measured = np.array(message.position[:7])
+        self._joint_state = message
+        if self._lockstep:
+            self._observe_if_complete()
+        elif self._gripper_state is not None:
+            self._observe()
+
+    def _observe_if_complete(self) -> None:
+        """Lockstep: arm and gripper of the same tick, in whatever order they arrive."""
+        arm, gripper = self._joint_state, self._gripper_state
+        if arm is None or gripper is None or arm.header.stamp != gripper.header.stamp:
+            return
+        self._observe()
+        self._on_simulated_tick(arm.header.stamp)
+
+    def _observe(self) -> None:
+        """Takes in where arm and gripper are, and publishes the grasp frame."""
+        self._measured = np.array(self._joint_state.position[:7])
         self._measured_is_new = True
+        self._width = self._gripper_state.width
         if np.isfinite(self._measured).all():
-            self._publish_pose(message.header.stamp)
+            self._publish_pose(self._joint_state.header.stamp)
         if self._fresh is not None and not self._fresh.done():
             self._fresh.set_result(True)
-        if self._lockstep:
-            self._on_simulated_tick(message.header.stamp)
 
     def _publish_pose(self, stamp: Any) -> None:
-        width = self._width if self._width is not None else self._gripper.min_width
-        pose = grasp_pose(self._arm, self._gripper, self._measured, width)
+        pose = grasp_pose(self._arm, self._gripper, self._measured, self._width)
         message = PoseStamped(pose=messages.pose(pose.position, pose.quaternion))
         message.header.stamp = stamp
         message.header.frame_id = "link_base"
         self._pose_pub.publish(message)
 
     def _on_gripper(self, message: GripperState) -> None:
-        if math.isfinite(message.width):
-            self._width = message.width
+        if not math.isfinite(message.width):
+            self._reject(f"gripper state with width {message.width} m: must be finite")
+            return
+        self._gripper_state = message
+        if self._lockstep:
+            self._observe_if_complete()
 
     def _on_design(self, message: FingerDesign) -> None:
         try:

@@ -102,7 +102,7 @@ class PolicyNode(Node):
         if missing:
             self._fault(f"no fresh {', '.join(missing)}")
             return
-        self._act(self.get_clock().now().to_msg())
+        self._act()
 
     def _missing(self) -> list[str]:
         """Observations that never came or are too old, by the steady clock."""
@@ -121,11 +121,11 @@ class PolicyNode(Node):
         now = max(stamps)
         if len(stamps) == 1 and now % PERIOD_NS == 0 and now > self._answered:
             self._answered = now
-            self._act(self._latest["object_pose"].header.stamp)
+            self._act()
 
     # --- actions
 
-    def _act(self, stamp: Any) -> None:
+    def _act(self) -> None:
         assert self._policy is not None
         observation = self._observation()
         if not observation.is_finite():
@@ -141,6 +141,7 @@ class PolicyNode(Node):
             rotation=messages.vector3(action.rotation),
             width=action.width,
         )
+        stamp = message.observation_stamp if self._lockstep else self.get_clock().now().to_msg()
         message.header.stamp = stamp
         message.header.frame_id = "link_base"
         self._action_pub.publish(message)

@@ -22,7 +22,14 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from codesign_nodes import messages, qos
-from codesign_nodes.node_tools import Diagnostics, declare, nanoseconds, run, steady_clock
+from codesign_nodes.node_tools import (
+    Diagnostics,
+    declare,
+    nanoseconds,
+    run,
+    stamp_of,
+    steady_clock,
+)
 
 
 class TrialError(RuntimeError):
@@ -163,6 +170,8 @@ class TrialRunner(Node):
                 recording = True
             await self._let_policy_work(request)
             result.metrics = self._metrics()
+            self._state.started = stamp_of(self._log.start or 0)
+            self._state.ended = stamp_of(self._log.end or 0)
             result.success = result.metrics.success
             result.message = "picked up" if result.success else "not lifted and held"
             self._state.metrics = result.metrics
@@ -304,6 +313,7 @@ class TrialRunner(Node):
         if state == TrialState.PREPARING:
             self._state.elapsed = 0.0
             self._state.metrics = TrialMetrics()
+            self._state.started = self._state.ended = stamp_of(0)
         self._publish_state()
 
     def _publish_state(self) -> None:

@@ -1,0 +1,109 @@
+"""`codesign demo`: trials over the graph, then videos and a report."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from codesign_cli.graph import bringup_command, run_process
+
+NOT_OURS = 2
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="folder of the results; replaced")] = Path("runs/demo"),
+    trials: Annotated[int, typer.Option(min=1, help="how many")] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="of the first trial; then one up each")] = 0,
+    tetrahedra: Annotated[int, typer.Option(help="resolution of the block: 600 or 2400")] = 2400,
+    real_time: Annotated[
+        bool,
+        typer.Option(
+            "--real-time", help="on the wall clock; default: simulated time, repeatable"
+        ),
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="print summary.json at the end")] = False,
+) -> None:
+    """Picks up silk tofu over the ROS 2 graph and writes a report.
+
+    Exit codes: 0 every trial succeeded, 1 one failed, 2 bad input, 3 the graph broke down.
+    """
+    bringup = bringup_command()
+    part = _empty_folder(out)
+    command = [*bringup, "sim", "--log-folder", str(part / "logs"), "--quiet"]
+    command += ["--set", f"fem_simulator.tetrahedra={tetrahedra}"]
+    command += [] if real_time else ["--lockstep"]
+    command += ["--", "run_trials", "--count", str(trials), "--seed", str(seed), "--out", str(part)]
+    code = run_process(command)
+    if code not in (0, 1):
+        typer.echo(f"codesign demo: the graph ended with exit code {code}: see {part}/logs", err=True)
+        raise typer.Exit(code)
+    _report(part)
+    _replace(part, out)
+    summary = json.loads((out / "summary.json").read_text())
+    if as_json:
+        typer.echo(json.dumps(summary, indent=2))
+    else:
+        _print_table(summary)
+        typer.echo(f"report: {out / 'report.html'}")
+    failed = len(summary["trials"]) < trials or not all(t["success"] for t in summary["trials"])
+    raise typer.Exit(1 if failed else code)
+
+
+def _empty_folder(out: Path) -> Path:
+    """A folder beside `out` to work in: an earlier result stays until the new one is whole."""
+    if out.exists() and any(out.iterdir()) and not (out / "summary.json").exists():
+        typer.echo(f"codesign demo: {out} is not empty and no run of ours: choose another", err=True)
+        raise typer.Exit(NOT_OURS)
+    part = out.with_name(f"{out.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    return part
+
+
+def _replace(part: Path, out: Path) -> None:
+    old = out.with_name(f"{out.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if out.exists():
+        os.replace(out, old)
+    os.replace(part, out)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _report(folder: Path) -> None:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    import codesign_report
+
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=30), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("videos and report")
+        codesign_report.build(
+            folder,
+            progress=lambda done, total, name: progress.update(
+                task, completed=done, total=total, description=f"video {name}"
+            ),
+        )
+
+
+def _print_table(summary: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="Silk tofu pick-up")
+    columns = ("gripper", "seed", "success", "top-10 % stress [Pa]", "median [Pa]", "lift [mm]")
+    for column in columns:
+        table.add_column(column, justify="right")
+    for trial in summary["trials"]:
+        table.add_row(
+            trial["gripper"],
+            str(trial["seed"]),
+            "yes" if trial["success"] else "NO",
+            f"{trial['top10_stress_pa']:.0f}" if trial["top10_stress_pa"] is not None else "-",
+            f"{trial['median_stress_pa']:.0f}" if trial["median_stress_pa"] is not None else "-",
+            f"{trial['peak_lift_m'] * 1e3:.1f}",
+        )
+    Console().print(table)
