@@ -68,7 +68,8 @@ def report(
         TimeRemainingColumn(),
     )
     try:
-        with Progress(*columns, console=console, transient=True) as bar:
+        quiet = not console.is_terminal
+        with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
             task = bar.add_task("reading", total=None)
             result = build(
                 run_dir,

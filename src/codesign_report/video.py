@@ -13,7 +13,9 @@ from codesign_report.overlay import Overlay, nice_ceiling
 from codesign_report.recording import Floats, TrialRecording
 from codesign_report.scene import Camera, Image, SceneRenderer
 
-FPS = 25
+FPS = 20
+"""As often as the simulation is recorded."""
+
 LONGEST = 600.0
 """Longer than this a trial can't be [s]: a wrong stamp would fill the disk with video."""
 
@@ -150,9 +152,14 @@ def _pictures(
                 [
                     ("Time", f"{t - frames[0]:.1f} s"),
                     ("Top-10 % stress", f"{top10:,.0f} Pa".replace(",", " ")),
-                    ("Lift", f"{1e3 * np.interp(t, trial.stress.times, rise):.0f} mm"),
+                    ("Lift", f"{_millimetres(np.interp(t, trial.stress.times, rise))} mm"),
                 ],
             )
+
+
+def _millimetres(metres: float) -> int:
+    """Whole ones: an integer has no negative zero."""
+    return round(1e3 * float(metres))
 
 
 def _state(trial: TrialRecording, t: float) -> tuple[Any, Any, Floats, Floats]:
