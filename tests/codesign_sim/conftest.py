@@ -1,0 +1,39 @@
+"""Shared fingers and simulators."""
+
+import numpy as np
+import pytest
+
+from codesign_sim import Block, FingerTargets, Material, Simulator, SurfaceMesh
+
+# A coarse tofu: large cells, hence large time steps and fast tests.
+SMALL = Block(cells=(5, 3, 4))
+
+
+@pytest.fixture(scope="session")
+def pads() -> tuple[SurfaceMesh, SurfaceMesh]:
+    left = SurfaceMesh.box((-0.01, 0.0, -0.025), (0.01, 0.01, 0.025))
+    right = SurfaceMesh.box((-0.01, -0.01, -0.025), (0.01, 0.0, 0.025))
+    return left, right
+
+
+@pytest.fixture
+def floating() -> Simulator:
+    """A block in empty space."""
+    simulator = Simulator(SMALL, table_height=None, gravity=(0, 0, 0))
+    simulator.reset(Material())
+    return simulator
+
+
+@pytest.fixture
+def grasped(pads) -> Simulator:
+    """A block squeezed by 4 mm and lifted by 10 mm."""
+    simulator = Simulator(SMALL, pads)
+    simulator.reset(Material(), fingers=around(0.034))
+    simulator.advance(0.2, around(0.026))
+    simulator.advance(0.2, around(0.026, height=0.036))
+    return simulator
+
+
+def around(width: float, height: float = 0.026, environments: int = 1) -> FingerTargets:
+    place = np.tile([0.0, 0.0, height], (environments, 1))
+    return FingerTargets.from_above(place, width)
