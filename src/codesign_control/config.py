@@ -36,10 +36,11 @@ class ServoConfig:
     leash: float = 0.06  # m, largest lead of the reference over the commanded pose
     leash_rotation: float = 0.25  # rad
 
-    # Joints. The arm allows 3.14 rad/s (URDF), 20 rad/s^2 and 500 rad/s^3 (SDK).
-    joint_velocity: float = 1.5  # rad/s
-    joint_acceleration: float = 12.0  # rad/s^2
-    joint_jerk: float = 300.0  # rad/s^3
+    # Joints. The arm allows 3.14 rad/s (URDF) and 20 rad/s^2 (SDK x3/base.py). Servo mode has no
+    # jerk limit of its own; this one and the other two make the slowest stop last 0.14 s.
+    joint_velocity: float = 1.2  # rad/s
+    joint_acceleration: float = 15.0  # rad/s^2
+    joint_jerk: float = 500.0  # rad/s^3
     joint_margin: float = 0.02  # rad, how far from its limits a joint stays
     tracking_limit: float = 0.2  # rad, larger |commanded - measured|: fault
 

@@ -169,7 +169,7 @@ def test_actions_need_an_enabled_servo(arm: Xarm7) -> None:
 @pytest.mark.parametrize("action_period", [0.05, 0.1])
 @pytest.mark.parametrize(
     ("translation", "rotation"),
-    [([0, 0.25, 0], [0, 0, 0]), ([0.2, 0, 0.15], [0, 0, 0]), ([0, 0.2, 0.1], [0.6, 0.3, 0.6])],
+    [([0, 0.25, 0], [0, 0, 0]), ([0.1, 0.1, -0.2], [0, 0, 0]), ([0, 0.2, 0.1], [0.6, 0.3, 0.6])],
 )
 def test_stands_within_300_ms_of_the_last_action(
     arm: Xarm7, action_period: float, translation: list, rotation: list
@@ -209,7 +209,7 @@ def test_resumes_without_a_jump(arm: Xarm7) -> None:
         run.act(2.5 * SIDE)
     while run.step().state is not ServoState.HALTED:
         pass
-    assert speed(run) > 0.01  # fresh again while it still brakes
+    assert speed(run) > 0.005  # fresh again while it still brakes
     run.act(SIDE)
     run.step(100)
     before = run.servo.commanded_pose.position
