@@ -6,6 +6,7 @@ the interaction period") and equation 2 (score). What the paper leaves open is s
 constant: what counts as contact, how high and how long is "picked up".
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -137,7 +138,7 @@ def grasp_metrics(
     contact = in_contact(left, right, contact_force)
     rise = lift(height, contact)
     weights = np.gradient(t) * contact
-    interaction_time = float(weights.sum())
+    interaction_time = math.fsum(weights)
     mean_top10 = _mean(top10, weights)
 
     up = contact & (rise >= success_lift)
@@ -185,8 +186,10 @@ def _last_run(mask: np.ndarray) -> slice:
 
 
 def _mean(values: np.ndarray, weights: np.ndarray) -> float:
-    total = weights.sum()
-    return float(values @ weights / total) if total > 0.0 else float("nan")
+    # fsum rounds once: a dot product's last bit depends on how the array lies in memory, and live
+    # and recorded series must give equal metrics.
+    total = math.fsum(weights)
+    return math.fsum(values * weights) / total if total > 0.0 else float("nan")
 
 
 def _times(times: npt.ArrayLike) -> np.ndarray:

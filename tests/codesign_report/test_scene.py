@@ -173,7 +173,7 @@ def test_without_opengl_the_remedy_is_named(monkeypatch):
 
 def test_creases_stay_sharp_and_round_parts_smooth():
     cube, _ = TRIAL.fingers
-    soup = scene._Soup(cube.vertices, cube.triangles)
+    soup = scene._Soup(cube)
     assert np.isclose(np.abs(soup.normals).max(axis=1), 1.0).all()
 
     angles = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
@@ -182,6 +182,6 @@ def test_creases_stay_sharp_and_round_parts_smooth():
     i = np.arange(32)
     j = (i + 1) % 32
     faces = np.concatenate([np.column_stack([i, j, j + 32]), np.column_stack([i, j + 32, i + 32])])
-    soup = scene._Soup(tube, TriangleMesh(tube, faces).triangles)
+    soup = scene._Soup(TriangleMesh(tube, faces))
     radial = soup.corners * [1.0, 1.0, 0.0]
     assert (np.einsum("ij,ij->i", soup.normals, radial) > 0.995).all()

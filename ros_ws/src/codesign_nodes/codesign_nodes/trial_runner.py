@@ -55,7 +55,15 @@ class TrialRunner(Node):
             self, "timeout", 30.0, "longest time of the policy [s]", low=1.0, high=600.0
         )
         self._service_timeout = declare(
-            self, "service_timeout", 5.0, "longest wait for a service [s]", low=0.1, high=60.0
+            self, "service_timeout", 5.0, "longest wait for an answer [s]", low=0.1, high=60.0
+        )
+        self._startup_timeout = declare(
+            self,
+            "startup_timeout",
+            40.0,
+            "longest wait for another node to appear; the simulator may compile first [s]",
+            low=0.0,
+            high=600.0,
         )
         self._simulated = declare(self, "simulated", True, "the graph has a fem_simulator")
         self._silence = declare(
@@ -255,8 +263,12 @@ class TrialRunner(Node):
     async def _call(self, client: Any, request: Any) -> Any:
         """Calls a service; raises TrialError when it is absent, silent or says no."""
         name = client.srv_name
-        if not client.wait_for_service(self._service_timeout):
-            raise TrialError(f"service {name} is not there after {self._service_timeout} s")
+        patience = self._startup_timeout
+        while not client.service_is_ready():
+            if patience <= 0.0:
+                raise TrialError(f"service {name} is not there after {self._startup_timeout} s")
+            patience -= 0.1
+            await self._sleep(0.1)
         future = client.call_async(request)
         timer = self.create_timer(self._service_timeout, future.cancel, clock=steady_clock())
         response = await future

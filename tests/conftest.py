@@ -1,0 +1,89 @@
+"""Shared by the tests that start processes: a DDS domain of their own, and a node that looks on."""
+
+import os
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+# Before anything talks DDS: apart from a person's own graph, and on this host only.
+os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 50)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+class Probe:
+    """A node in the test's process: collects messages, calls services, publishes."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node(f"probe_{os.getpid()}", context=self.context)
+        self.received: dict[str, list[tuple[float, Any]]] = defaultdict(list)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        from rclpy.executors import ExternalShutdownException
+
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            pass
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.context.try_shutdown()
+        self._thread.join(5.0)
+
+    def listen(self, topic: str, kind: Any, qos: Any) -> None:
+        """Collects a topic in `received` as (monotonic time, message)."""
+        self.node.create_subscription(
+            kind, topic, lambda m: self.received[topic].append((time.monotonic(), m)), qos
+        )
+
+    def latest(self, topic: str) -> Any:
+        return self.received[topic][-1][1]
+
+    def wait_for(self, condition: Callable[[], Any], timeout: float, what: str) -> Any:
+        """The first true value of `condition`; fails the test after `timeout` [s]."""
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            value = condition()
+            if value:
+                return value
+            time.sleep(0.01)
+        pytest.fail(f"not within {timeout} s: {what}")
+
+    def call(self, name: str, kind: Any, request: Any, timeout: float = 20.0) -> Any:
+        """The answer of a service."""
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(timeout), f"service {name} is not there"
+        future = client.call_async(request)
+        self.wait_for(future.done, timeout, f"answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
+
+@pytest.fixture
+def probe() -> Iterator[Probe]:
+    """A node in the test's own process."""
+    probe = Probe()
+    yield probe
+    probe.close()
+
+
+@pytest.fixture
+def graph(tmp_path: Any) -> Iterator[Any]:
+    """Processes of the graph; all of them are ended after the test."""
+    from codesign_bringup.bringup import Graph
+
+    with Graph(tmp_path / "logs", quiet=True) as graph:
+        yield graph
