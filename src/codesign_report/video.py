@@ -19,7 +19,7 @@ FPS = 20
 LONGEST = 600.0
 """Longer than this a trial can't be [s]: a wrong stamp would fill the disk with video."""
 
-VIEW_HEIGHT = 0.185
+VIEW_HEIGHT = 0.168
 """Of the picture, at the object [m]."""
 
 DISTANCE = 0.60
