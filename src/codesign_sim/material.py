@@ -60,9 +60,10 @@ def stable_time_step(
     """
     # Rounded upwards, so that randomised materials share a few cached answers.
     modulus = float(np.ceil(material.young_modulus / material.density * 10) / 10)
+    contact = float(np.ceil(contact_stiffness / material.density / 100) * 100)
     poisson = min(float(np.ceil(material.poisson_ratio * 100) / 100), 0.4999)
     poisson = max(poisson, material.poisson_ratio)
-    square = _largest_eigenvalue(block, modulus, poisson, contact_stiffness / material.density)
+    square = _largest_eigenvalue(block, modulus, poisson, contact)
     return float(np.sqrt(stiffness_damping**2 + 4 / square) - stiffness_damping)
 
 

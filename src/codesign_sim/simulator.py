@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy.spatial.transform import Rotation
 
 from codesign_sim import kernels
 from codesign_sim.block import Block
@@ -20,6 +21,7 @@ from codesign_sim.checks import (
 )
 from codesign_sim.distance import bake
 from codesign_sim.fingers import FingerTargets, path, turn_angle
+from codesign_sim.layout import Layout, floats, ints, zeros
 from codesign_sim.material import Material, stable_time_step
 from codesign_sim.mesh import SurfaceMesh
 from codesign_sim.stress import Stress, StressMeasure, summarise
@@ -116,74 +118,17 @@ class Simulator:
         self._broken = ""
         self._launches: dict[str, Any] = {}
 
-        # Eight environments fill a vector; fewer than four are faster one after the other.
-        self._lanes = 8 if self.environments >= 4 else 1
-        self._groups = -(-self.environments // self._lanes)
-        self._allocate()
+        self._layout = Layout(block, self.environments)
+        self._origin = np.zeros((self.environments, 3))
+        scene: Any = kernels.Scene()
+        scene.settings = zeros(len(kernels.SETTINGS))
+        self._scene = scene
+        self._layout.describe_block(scene)
+        self._layout.allocate(scene, _CHUNK)
+        self.pin([])
         self.set_fingers(*_split(fingers))
 
     # ------------------------------------------------------------------ set-up
-
-    def _allocate(self) -> None:
-        block, lanes, groups = self.block, self._lanes, self._groups
-        copies = kernels.ITEM_LANES if lanes == 1 else 1
-        width = kernels.ITEM_LANES if lanes == 1 else lanes
-        tets = _spread(len(block.tetrahedra), copies)
-        triangles = _packed(len(block.surface_triangles), copies)
-        nodes = _packed(len(block.nodes), copies)
-        # Lanes beyond the last node get rows of their own, so that no two lanes share one.
-        node_index = np.where(nodes < 0, len(block.nodes) + np.arange(copies), nodes)
-        self._tet_order = tets
-        self._rows = int(max(node_index.max() + 1, len(block.nodes)))
-
-        scene: Any = kernels.Scene()
-        scene.lanes, scene.groups = lanes, groups
-        scene.tet_items, scene.triangle_items = len(tets), len(triangles)
-        scene.node_items, scene.node_rows = len(nodes), self._rows
-        shapes = np.column_stack([block.inverse_edges.reshape(-1, 9), block.volumes])
-        shapes = _items(shapes, tets)
-        shapes[:, 9][tets < 0] = 0  # a repeated tetrahedron that fills a vector has no volume
-        scene.tet_nodes = _int_array(_items(block.tetrahedra, tets))
-        scene.tet_shapes = _float_array(shapes)
-        scene.triangle_nodes = _int_array(_items(block.surface_triangles, triangles))
-        areas = np.where(triangles < 0, 0, block.surface_areas[triangles])
-        scene.triangle_areas = _float_array(areas)
-        scene.node_order = _int_array(node_index)
-        self._node_layout = nodes
-        self._pinned = np.zeros(len(block.nodes), dtype=bool)
-
-        rows = groups * self._rows * 4 * lanes
-        for name in ("positions", "velocities", "ahead", "forces", "loads"):
-            setattr(scene, name, wp.zeros(rows, dtype=wp.float32, device="cpu"))
-        anchors = groups * 3 * len(triangles) * 3 * 4 * width
-        scene.anchors = wp.zeros(anchors, dtype=wp.float32, device="cpu")
-        scene.near_obstacle = wp.zeros(groups * len(triangles), dtype=wp.int32, device="cpu")
-        scene.centres = wp.zeros(groups * 3 * lanes, dtype=wp.float32, device="cpu")
-        scene.materials = wp.zeros(groups * 4 * lanes, dtype=wp.float32, device="cpu")
-        scene.poses = wp.zeros(_CHUNK * groups * 24 * lanes, dtype=wp.float32, device="cpu")
-        scene.reports = wp.zeros(groups * 12 * lanes, dtype=wp.float32, device="cpu")
-        scene.stresses = wp.zeros(groups * len(tets) * 2 * width, dtype=wp.float32, device="cpu")
-        scene.settings = wp.zeros(len(kernels.SETTINGS), dtype=wp.float32, device="cpu")
-        self._scene = scene
-        self._origin = np.zeros((self.environments, 3))
-        self._set_node_constants()
-
-    def _set_node_constants(self) -> None:
-        block = self.block
-        free = np.where(self._pinned, 0.0, 1.0)
-        constants = np.stack(
-            [
-                block.node_volumes / block.volume,
-                free / block.node_volumes,
-                free,
-                free * block.load_volumes / block.node_volumes,
-            ],
-            axis=1,
-        )
-        laid_out = _items(constants, self._node_layout)
-        laid_out = np.where((self._node_layout < 0)[:, None, :], 0, laid_out)
-        self._scene.node_constants = _float_array(laid_out)
-        self._launches = {}
 
     def set_fingers(
         self,
@@ -213,9 +158,9 @@ class Simulator:
                 frames[environment, side, 3:7] = [1 / grid.spacing, nx - 1, ny - 1, nz - 1]
                 indices[environment, side] = [offsets[id(grid)], nx, nx * ny]
         values = np.concatenate([v.ravel() for v in pool or [_EMPTY_GRID]])
-        self._scene.grids = _float_array(values)
-        self._scene.grid_frames = _float_array(self._grouped(frames))
-        self._scene.grid_indices = _int_array(self._grouped(indices))
+        self._scene.grids = floats(values)
+        self._scene.grid_frames = floats(self._layout.grouped(frames))
+        self._scene.grid_indices = ints(self._layout.grouped(indices))
         self._scene.anchors.zero_()
         self._fingers_at = None
         self._launches = {}
@@ -252,7 +197,7 @@ class Simulator:
         self._choose_time_step(materials)
         self._materials = materials
         values = [[*m.lame, m.density, m.friction] for m in materials]
-        self._scene.materials.assign(self._grouped(np.array(values)))
+        self._scene.materials.assign(self._layout.grouped(np.array(values)))
 
         base = 0.0 if self.table_height is None else self.table_height
         self._origin = np.column_stack([place, np.full(count, base)])
@@ -294,17 +239,21 @@ class Simulator:
         self.time_step = self._given_time_step or SAFETY * limit
 
     def pin(self, nodes: Sequence[int] | np.ndarray) -> None:
-        """Holds nodes where they are (in every environment); an empty list frees all."""
+        """Holds nodes where they are, in every environment, until changed; [] frees all."""
         index = np.asarray(nodes, dtype=int)
-        self._pinned[:] = False
-        self._pinned[index] = True
-        self._set_node_constants()
+        pinned = np.zeros(len(self.block.nodes), dtype=bool)
+        pinned[index] = True
+        self._scene.node_constants = self._layout.node_constants(pinned)
+        velocities = self.velocities
+        velocities[:, index] = 0
+        self._scene.velocities.assign(self._layout.node_rows(velocities))
+        self._launches = {}
 
     def set_loads(self, forces: np.ndarray) -> None:
-        """Constant extra forces on the nodes, (N, 3) or (E, N, 3) in N."""
+        """Extra forces on the nodes, (N, 3) or (E, N, 3) in N, constant until changed."""
         shape = (self.environments, len(self.block.nodes), 3)
         forces = require_finite("loads", np.broadcast_to(forces, shape), shape, "N")
-        self._scene.loads.assign(self._node_rows(forces))
+        self._scene.loads.assign(self._layout.node_rows(forces))
 
     def set_state(self, positions: np.ndarray, velocities: np.ndarray) -> None:
         """Node positions and velocities, (E, N, 3) each, world frame, m and m/s.
@@ -358,26 +307,13 @@ class Simulator:
     ) -> None:
         substeps = max(1, int(np.ceil(duration / self.time_step - 1e-6)))
         dt = duration / substeps
-        end = targets or self._fingers_at
-        start = self._fingers_at or end
+        end = self._fingers_at if targets is None else targets
+        start = end if self._fingers_at is None else self._fingers_at
         speed = self._finger_speed(start, end, duration, dt)
         obstacles = (_FINGERS if end is not None and self._has_fingers else 0) | (
             _TABLE if self.table_height is not None else 0
         )
-        settings = {
-            "time_step": dt,
-            "stiffness_damping": self.stiffness_damping,
-            "mass_damping": damping,
-            "damp_about_rigid": float(about_rigid),
-            "gravity_x": self.gravity[0],
-            "gravity_y": self.gravity[1],
-            "gravity_z": self.gravity[2],
-            "top_speed": self.top_speed,
-            "contact_stiffness": self.contact_stiffness,
-            "obstacles": obstacles,
-            "finger_speed": speed,
-            "near_margin": 1.5 * float(np.max(np.array(self.block.size) / self.block.cells)) + 1e-3,
-        }
+        settings = self._settings(dt, damping, about_rigid, obstacles, speed)
         totals = np.zeros((self.environments, 3, 3))
         for first in range(0, substeps, _CHUNK):
             count = min(_CHUNK, substeps - first)
@@ -394,6 +330,26 @@ class Simulator:
         self._mean_forces = totals / substeps
         self._fingers_at = end
         self._check_state()
+
+    def _settings(
+        self, dt: float, damping: float, about_rigid: bool, obstacles: int, finger_speed: float
+    ) -> dict[str, float]:
+        largest_cell = float(np.max(np.array(self.block.size) / self.block.cells))
+        return {
+            "time_step": dt,
+            "stiffness_damping": self.stiffness_damping,
+            "mass_damping": damping,
+            "damp_about_rigid": float(about_rigid),
+            "gravity_x": self.gravity[0],
+            "gravity_y": self.gravity[1],
+            "gravity_z": self.gravity[2],
+            "top_speed": self.top_speed,
+            "contact_stiffness": self.contact_stiffness,
+            "obstacles": obstacles,
+            "finger_speed": finger_speed,
+            # Contact is looked for by the first corner of a triangle: its longest edge, and some.
+            "near_margin": 1.5 * largest_cell + 1e-3,
+        }
 
     def _finger_speed(
         self, start: FingerTargets | None, end: FingerTargets | None, duration: float, dt: float
@@ -431,16 +387,9 @@ class Simulator:
         self._require_reset()
         measure = StressMeasure(measure)
         self._launch(kernels.stress_kernel)
-        width = kernels.ITEM_LANES if self._lanes == 1 else self._lanes
-        values = self._scene.stresses.numpy().reshape(self._groups, -1, 2, width)
-        values = values[:, :, 0 if measure is StressMeasure.CAUCHY else 1]
-        if self._lanes == 1:
-            values = values.reshape(self._groups, -1)[:, np.argsort(_filled(self._tet_order))]
-            values = values[:, : len(self.block.tetrahedra)]
-        else:
-            values = values.transpose(0, 2, 1).reshape(-1, values.shape[1])
-        chosen = values[: self.environments].astype(np.float64)
-        return summarise(chosen, self.block.volumes, measure)
+        which = 0 if measure is StressMeasure.CAUCHY else 1
+        von_mises = self._layout.per_tetrahedron(self._scene.stresses, which)
+        return summarise(von_mises, self.block.volumes, measure)
 
     def contact(self) -> ContactForces:
         """Contact forces of the last `advance`."""
@@ -459,7 +408,7 @@ class Simulator:
         """Elastic node forces (E, N, 3) in N at the present positions."""
         self._require_reset()
         self._launch(kernels.elastic_kernel)
-        return self._read_rows(self._scene.forces)
+        return self._layout.node_vectors(self._scene.forces)
 
     @property
     def top_speed(self) -> float:
@@ -469,12 +418,12 @@ class Simulator:
     @property
     def positions(self) -> np.ndarray:
         """Node positions (E, N, 3), world frame, metres."""
-        return self._read_rows(self._scene.positions) + self._origin[:, None]
+        return self._layout.node_vectors(self._scene.positions) + self._origin[:, None]
 
     @property
     def velocities(self) -> np.ndarray:
         """Node velocities (E, N, 3), world frame, m/s."""
-        return self._read_rows(self._scene.velocities)
+        return self._layout.node_vectors(self._scene.velocities)
 
     @property
     def tetrahedra(self) -> np.ndarray:
@@ -510,53 +459,31 @@ class Simulator:
         u, _, vt = np.linalg.svd(moment)
         sign = np.sign(np.linalg.det(u @ vt))
         u[:, :, 2] *= sign[:, None]
-        return centre, _quaternion(u @ vt)
+        return centre, Rotation.from_matrix(u @ vt).as_quat()
 
-    # ------------------------------------------------------- arrays and layout
+    # ----------------------------------------------------------------- inside
 
     def _launch(self, kernel: wp.Kernel) -> None:
         if kernel.key not in self._launches:
             self._launches[kernel.key] = kernels.record(kernel, self._scene)
         self._launches[kernel.key].launch()
 
-    def _grouped(self, values: np.ndarray) -> np.ndarray:
-        """(E, ...) to [group][...][lane]; spare lanes repeat the last environment."""
-        spare = self._groups * self._lanes - self.environments
-        values = np.concatenate([values, np.repeat(values[-1:], spare, axis=0)])
-        values = values.reshape(self._groups, self._lanes, *values.shape[1:])
-        kind = np.int32 if values.dtype.kind == "i" else np.float32
-        return np.ascontiguousarray(np.moveaxis(values, 1, -1), dtype=kind).ravel()
-
-    def _node_rows(self, values: np.ndarray) -> np.ndarray:
-        rows = np.zeros((self.environments, self._rows, 4))
-        rows[:, : values.shape[1], :3] = values
-        return self._grouped(rows)
-
-    def _read_rows(self, array: wp.array) -> np.ndarray:
-        rows = array.numpy().reshape(self._groups, self._rows, 4, self._lanes)
-        rows = np.moveaxis(rows, -1, 1).reshape(-1, self._rows, 4)
-        return rows[: self.environments, : len(self.block.nodes), :3].astype(np.float64)
-
     def _write_state(self, local: np.ndarray, velocities: np.ndarray) -> None:
-        self._scene.positions.assign(self._node_rows(local))
-        self._scene.velocities.assign(self._node_rows(velocities))
+        self._scene.positions.assign(self._layout.node_rows(local))
+        self._scene.velocities.assign(self._layout.node_rows(velocities))
         weights = self.block.node_volumes / self.block.volume
-        self._scene.centres.assign(self._grouped(np.einsum("n,enk->ek", weights, local)))
+        self._scene.centres.assign(self._layout.grouped(np.einsum("n,enk->ek", weights, local)))
         self._scene.anchors.zero_()
         self._mean_forces = np.zeros((self.environments, 3, 3))
 
     def _write_poses(self, poses: np.ndarray) -> None:
         poses[..., 9:] -= self._origin[None, :, None]
-        steps = poses.shape[0]
-        by_environment = np.moveaxis(poses, 0, 1)
-        grouped = self._grouped(by_environment).reshape(self._groups, steps, -1)
-        flat = np.moveaxis(grouped, 0, 1).ravel()
+        flat = self._layout.step_values(poses)
         self._scene.poses.numpy()[: flat.size] = flat
 
     def _report(self) -> np.ndarray:
-        report = self._scene.reports.numpy().reshape(self._groups, 3, 4, self._lanes)
-        report = np.moveaxis(report, -1, 1).reshape(-1, 3, 4)
-        return report[: self.environments].astype(np.float64)
+        """Force and depth (E, 3 obstacles, 4) of the last launch."""
+        return self._layout.ungrouped(self._scene.reports, 3, 4)
 
     def _check_count(self, targets: FingerTargets) -> None:
         if len(targets) != self.environments:
@@ -599,39 +526,3 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotation).as_quat()
-
-
-def _packed(count: int, copies: int) -> np.ndarray:
-    """Items (I, copies) side by side in vectors; -1 where a lane has none."""
-    padded = np.full(-(-count // copies) * copies, -1)
-    padded[:count] = np.arange(count)
-    return padded.reshape(-1, copies)
-
-
-def _spread(count: int, copies: int) -> np.ndarray:
-    """Like `_packed`, with the items of a vector far apart.
-
-    Neighbouring tetrahedra add to the same nodes, and each addition would wait for the last.
-    """
-    return np.ascontiguousarray(_packed(count, copies).reshape(copies, -1).T)
-
-
-def _filled(layout: np.ndarray) -> np.ndarray:
-    """Sort keys of a layout: items in order, lanes without an item last."""
-    flat = layout.ravel()
-    return np.where(flat < 0, flat.size, flat)
-
-
-def _items(values: np.ndarray, layout: np.ndarray) -> np.ndarray:
-    """(items, components) to [vector][component][lane]; lanes without an item repeat one."""
-    return np.moveaxis(values[np.maximum(layout, 0)], 1, -1).copy()
-
-
-def _float_array(values: np.ndarray) -> wp.array:
-    flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
-    return wp.array(flat, dtype=wp.float32, device="cpu")
-
-
-def _int_array(values: np.ndarray) -> wp.array:
-    flat = np.ascontiguousarray(values, dtype=np.int32).ravel()
-    return wp.array(flat, dtype=wp.int32, device="cpu")

@@ -1,0 +1,163 @@
+"""How arrays lie in memory: [group][item][component][lane], explained in native/lanes.h."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from codesign_sim.block import Block
+from codesign_sim.kernels import ITEM_LANES, LANES
+
+_ROW = 4  # floats of a node's row: x, y, z and padding
+
+
+class Layout:
+    """Lanes, groups and the order of items for a block in a number of environments.
+
+    Attributes:
+        lanes: environments in a vector; 1 means that a vector holds items of one environment.
+        groups: vectors of environments, the unit of a kernel's launch.
+        width: floats in a vector.
+        tets, triangles, nodes: (vectors, lanes with an item of their own) item numbers, -1 where
+            a lane has none.
+    """
+
+    def __init__(self, block: Block, environments: int) -> None:
+        self.block = block
+        self.environments = environments
+        # Eight environments fill a vector; fewer than four are faster one after the other.
+        self.lanes = LANES[-1] if environments >= 4 else 1
+        self.groups = -(-environments // self.lanes)
+        copies = ITEM_LANES if self.lanes == 1 else 1
+        self.width = ITEM_LANES if self.lanes == 1 else self.lanes
+        self.tets = _spread(len(block.tetrahedra), copies)
+        self.triangles = _packed(len(block.surface_triangles), copies)
+        self.nodes = _packed(len(block.nodes), copies)
+        # Lanes beyond the last node get rows of their own, so that no two lanes share one.
+        self._node_order = np.where(
+            self.nodes < 0, len(block.nodes) + np.arange(copies), self.nodes
+        )
+        self.rows = int(self._node_order.max()) + 1
+
+    def describe_block(self, scene: Any) -> None:
+        """Puts sizes, topology and rest shape of the block into a scene."""
+        block = self.block
+        scene.lanes, scene.groups, scene.node_rows = self.lanes, self.groups, self.rows
+        scene.tet_items, scene.triangle_items = len(self.tets), len(self.triangles)
+        scene.node_items = len(self.nodes)
+        shapes = _items(
+            np.column_stack([block.inverse_edges.reshape(-1, 9), block.volumes]), self.tets
+        )
+        shapes[:, 9][self.tets < 0] = 0  # a repeated tetrahedron fills the vector with no volume
+        scene.tet_nodes = ints(_items(block.tetrahedra, self.tets))
+        scene.tet_shapes = floats(shapes)
+        scene.triangle_nodes = ints(_items(block.surface_triangles, self.triangles))
+        areas = np.where(self.triangles < 0, 0, block.surface_areas[self.triangles])
+        scene.triangle_areas = floats(areas)
+        scene.node_order = ints(self._node_order)
+
+    def allocate(self, scene: Any, steps: int) -> None:
+        """Puts zeroed state and result arrays into a scene, with finger poses for `steps`."""
+        lanes, groups, triangles = self.lanes, self.groups, len(self.triangles)
+        for name in ("positions", "velocities", "ahead", "forces", "loads"):
+            setattr(scene, name, zeros(groups * self.rows * _ROW * lanes))
+        scene.anchors = zeros(groups * 3 * triangles * 3 * 4 * self.width)
+        scene.near_obstacle = ints(np.zeros(groups * triangles))
+        scene.centres = zeros(groups * 3 * lanes)
+        scene.materials = zeros(groups * 4 * lanes)
+        scene.poses = zeros(steps * groups * 24 * lanes)
+        scene.reports = zeros(groups * 12 * lanes)
+        scene.stresses = zeros(groups * len(self.tets) * 2 * self.width)
+
+    def node_constants(self, pinned: np.ndarray) -> wp.array:
+        """Mass share, 1 / volume, freedom and gravity share of every node; see fem.h."""
+        block = self.block
+        free = np.where(pinned, 0.0, 1.0)
+        constants = [
+            block.node_volumes / block.volume,
+            free / block.node_volumes,
+            free,
+            free * block.load_volumes / block.node_volumes,
+        ]
+        laid_out = _items(np.stack(constants, axis=1), self.nodes)
+        return floats(np.where((self.nodes < 0)[:, None, :], 0, laid_out))
+
+    def grouped(self, values: np.ndarray) -> np.ndarray:
+        """(E, ...) to [group][...][lane], flat; spare lanes repeat the last environment."""
+        spare = self.groups * self.lanes - self.environments
+        values = np.concatenate([values, np.repeat(values[-1:], spare, axis=0)])
+        values = values.reshape(self.groups, self.lanes, *values.shape[1:])
+        kind = np.int32 if values.dtype.kind == "i" else np.float32
+        return np.ascontiguousarray(np.moveaxis(values, 1, -1), dtype=kind).ravel()
+
+    def ungrouped(self, array: wp.array, *shape: int) -> np.ndarray:
+        """[group][shape][lane] back to (E, *shape), as a copy in double precision."""
+        values = array.numpy().reshape(self.groups, *shape, self.lanes)
+        values = np.moveaxis(values, -1, 1).reshape(-1, *shape)
+        return values[: self.environments].astype(np.float64)
+
+    def node_rows(self, values: np.ndarray) -> np.ndarray:
+        """Node vectors (E, N, 3) as padded rows, flat."""
+        rows = np.zeros((self.environments, self.rows, _ROW))
+        rows[:, : values.shape[1], :3] = values
+        return self.grouped(rows)
+
+    def node_vectors(self, array: wp.array) -> np.ndarray:
+        """Padded rows back to node vectors (E, N, 3)."""
+        return self.ungrouped(array, self.rows, _ROW)[:, : len(self.block.nodes), :3]
+
+    def step_values(self, values: np.ndarray) -> np.ndarray:
+        """(S, E, ...) to [step][group][...][lane], flat."""
+        steps = len(values)
+        by_group = self.grouped(np.moveaxis(values, 0, 1)).reshape(self.groups, steps, -1)
+        return np.moveaxis(by_group, 0, 1).ravel()
+
+    def per_tetrahedron(self, array: wp.array, measure: int) -> np.ndarray:
+        """Stresses [group][tet item][2][lane] of one measure as (E, T)."""
+        values = array.numpy().reshape(self.groups, len(self.tets), 2, self.width)[:, :, measure]
+        if self.lanes == 1:
+            result = np.empty((self.groups, len(self.block.tetrahedra)))
+            used = self.tets >= 0
+            result[:, self.tets[used]] = values[:, used]
+        else:
+            result = np.moveaxis(values, -1, 1).reshape(-1, len(self.tets))
+        return result[: self.environments].astype(np.float64)
+
+
+def _packed(count: int, copies: int) -> np.ndarray:
+    """Items (vectors, copies) side by side; -1 where a lane has none."""
+    padded = np.full(-(-count // copies) * copies, -1)
+    padded[:count] = np.arange(count)
+    return padded.reshape(-1, copies)
+
+
+def _spread(count: int, copies: int) -> np.ndarray:
+    """Like `_packed`, with the items of a vector far apart.
+
+    Neighbouring tetrahedra add to the same nodes, and each addition would wait for the last.
+    """
+    return np.ascontiguousarray(_packed(count, copies).reshape(copies, -1).T)
+
+
+def _items(values: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """(items, components) to [vector][component][lane]; lanes without an item repeat the first."""
+    return np.moveaxis(values[np.maximum(order, 0)], 1, -1).copy()
+
+
+def zeros(size: int) -> wp.array:
+    """A zeroed float array."""
+    return wp.zeros(size, dtype=wp.float32, device="cpu")
+
+
+def floats(values: np.ndarray) -> wp.array:
+    """A flat float array of the values."""
+    flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
+    return wp.array(flat, dtype=wp.float32, device="cpu")
+
+
+def ints(values: np.ndarray) -> wp.array:
+    """A flat integer array of the values."""
+    flat = np.ascontiguousarray(values, dtype=np.int32).ravel()
+    return wp.array(flat, dtype=wp.int32, device="cpu")
