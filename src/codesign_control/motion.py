@@ -19,6 +19,7 @@ from codesign_control.xarm7 import Xarm7
 DOF = 7
 AT_REST = 1e-9  # rad/s, rad/s^2: below it a joint counts as standing
 PLAN_ATTEMPTS = 10
+PLAN_RESERVE = 0.9  # of the TCP speed limit: braking may add a little to a plan's speed
 ROUNDING = 1e-9  # relative slack for limits that are met exactly
 
 
@@ -106,9 +107,10 @@ class JointMotion:
             motion = self._sample(request)
             path = self._tcp_path(motion)
             speed = self._peak_speed(path)
-            if speed <= self._config.tcp_speed_limit:
+            allowed = PLAN_RESERVE * self._config.tcp_speed_limit
+            if speed <= allowed:
                 break
-            speed_scale *= 0.95 * self._config.tcp_speed_limit / speed
+            speed_scale *= 0.95 * allowed / speed
         if not self._inside(motion, path):
             raise ValueError("the way leaves the joint limits, the box or the TCP speed limit")
         return [JointState(*state) for state in motion]

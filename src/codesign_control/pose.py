@@ -64,7 +64,7 @@ def finite_vector(name: str, value: object, length: int) -> np.ndarray:
 
 def difference(start: pin.SE3, end: pin.SE3) -> np.ndarray:
     """(6,) translation [m] and rotation vector [rad], in base axes, that take `start` to `end`."""
-    rotation = start.rotation @ pin.log3(start.rotation.T @ end.rotation)
+    rotation = pin.log3(end.rotation @ start.rotation.T)
     return np.concatenate([end.translation - start.translation, rotation])
 
 

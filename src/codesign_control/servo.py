@@ -228,7 +228,7 @@ class CartesianServo:
             self._hold(ServoState.HALTED, "halted: no fresh action")
         try:
             self._move()
-        except TrajectoryError as error:
+        except (TrajectoryError, np.linalg.LinAlgError) as error:
             self._motion.brake()
             self.fault(str(error))
         return self._output(braking)
