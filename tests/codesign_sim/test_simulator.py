@@ -121,6 +121,17 @@ def test_fingers_without_friction_slip(pads):
     assert simulator.contact().table[0, 2] == pytest.approx(WEIGHT, rel=0.05)
 
 
+def test_a_block_that_sticks_does_not_creep():
+    slope = np.radians(20)
+    gravity = (9.81 * np.sin(slope), 0.0, -9.81 * np.cos(slope))
+    simulator = Simulator(SMALL, gravity=gravity)
+    simulator.reset(Material(friction=0.5))
+    simulator.settle(2.0)
+    before = simulator.positions
+    simulator.advance(2.0)
+    assert np.abs(simulator.positions - before).max() < 2e-7
+
+
 def test_a_turned_hand_turns_the_block(grasped):
     grasped.advance(0.4, FingerTargets.from_above((0, 0, 0.036), 0.026, yaw=0.3))
     grasped.advance(0.2)

@@ -84,6 +84,8 @@ template <int L> struct DistanceGrid {
         // Written so that a position that is not a number counts as outside, too.
         const auto inside = (u.x >= 0.0f) & (u.y >= 0.0f) & (u.z >= 0.0f) & (u.x < grid.size.x)
             & (u.y < grid.size.y) & (u.z < grid.size.z);
+        if (!any(inside))
+            return { zero - 1.0f, { zero, zero, zero } };
         const Vec3<F> v = { inside ? u.x : zero, inside ? u.y : zero, inside ? u.z : zero };
         const I ix = __builtin_convertvector(v.x, I), iy = __builtin_convertvector(v.y, I);
         const I iz = __builtin_convertvector(v.z, I);
