@@ -46,6 +46,15 @@ def read_trial(bag: str | Path) -> TrialRecording:
     """
     path = Path(bag)
     messages = _read_messages(path)
+    try:
+        return _recording(path, messages)
+    except AttributeError as error:
+        raise BagError(
+            f"{path}: recorded with other message definitions ({error}): record again"
+        ) from error
+
+
+def _recording(path: Path, messages: Messages) -> TrialRecording:
     start, stop = _window(messages)
     if not start <= stop:
         raise BagError(
@@ -160,7 +169,9 @@ def _window(messages: Messages) -> tuple[int, int]:
     stress = [_stamp(m) for m in messages["/stress"]]
     states = messages["/trial_state"]
     if states and states[-1].state == FINISHED:
-        return _nanoseconds(states[-1].started), _nanoseconds(states[-1].ended)
+        started, ended = _nanoseconds(states[-1].started), _nanoseconds(states[-1].ended)
+        if 0 < started < ended:
+            return started, ended
     # Failed or cut off: from when it last began to run.
     running = len(states)
     while running and states[running - 1].state != RUNNING:

@@ -154,11 +154,16 @@ class SyntheticTrial:
         return np.concatenate([centre + offset, quaternion])
 
 
-def typestore():
+def typestore(edit=lambda _, text: text):
+    """The graph's messages; `edit(name, text)` may change a definition."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types = {}
     for path in sorted(MESSAGES.glob("*.msg")):
-        types.update(get_types_from_msg(path.read_text(), f"codesign_interfaces/msg/{path.stem}"))
+        types.update(
+            get_types_from_msg(
+                edit(path.stem, path.read_text()), f"codesign_interfaces/msg/{path.stem}"
+            )
+        )
     store.register(types)
     return store
 

@@ -5,8 +5,9 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from mcap_ros2.reader import read_ros2_messages
-from synthetic_trial import DOMAIN, POLICY_START, BagWriter, SyntheticTrial, write_bag
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from synthetic_trial import DOMAIN, POLICY_START, BagWriter, SyntheticTrial, typestore, write_bag
 
 from codesign_report import BagError, read_trial, trial_metrics
 
@@ -79,9 +80,11 @@ def test_metrics_of_the_bag(recording, trial):
 
 def test_read_by_mcap_ros2_support(bag, trial):
     (file,) = bag.glob("*.mcap")
-    messages = list(read_ros2_messages(str(file), topics=["/stress"]))
-    assert len(messages) == len(trial.times)
-    assert len(messages[0].ros_msg.von_mises) == len(trial.body.tetrahedra)
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        decoded = [m.decoded_message for m in reader.iter_decoded_messages(topics=["/stress"])]
+    assert len(decoded) == len(trial.times)
+    assert len(decoded[0].von_mises) == len(trial.body.tetrahedra)
 
 
 def test_type_hashes_and_offered_qos_are_kept(bag):
@@ -178,6 +181,27 @@ def test_stress_of_another_mesh_is_refused(tmp_path):
 
     with pytest.raises(BagError, match=r"719 tetrahedra.*720"):
         read_trial(damaged(tmp_path, swap))
+
+
+def test_other_message_definitions_are_refused(tmp_path):
+    class Old(BagWriter):
+        def __init__(self, trial):
+            super().__init__(trial)
+            self.store = typestore(
+                lambda name, text: (
+                    text.replace("width ", "gap ") if name == "GripperState" else text
+                )
+            )
+
+        def make(self, kind, **fields):
+            if kind.endswith("/GripperState"):
+                fields["gap"] = fields.pop("width")
+                fields["target_gap"] = fields.pop("target_width")
+            return super().make(kind, **fields)
+
+    path = write_bag(tmp_path / "bag", SyntheticTrial(), Old)
+    with pytest.raises(BagError, match=r"other message definitions.*width"):
+        read_trial(path)
 
 
 def test_indices_beyond_the_mesh_are_refused(tmp_path):
