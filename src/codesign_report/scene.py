@@ -120,7 +120,7 @@ class SceneRenderer:
         )
         self._rest = soft_body.rest_positions
         self._soft = _SoftSurface(soft_body)
-        self._fingers = [_Soup(mesh.vertices, mesh.triangles) for mesh in fingers]
+        self._fingers = [_Soup(mesh) for mesh in fingers]
         self._links = _gripper_links(fingers)
         self._gl: Any = _gl_context_class()(width, height)
         self._gl.make_current()
@@ -343,10 +343,10 @@ class _Link:
 class _Soup:
     """A mesh as separate triangles, with normals smoothed except across creases."""
 
-    def __init__(self, vertices: Floats, triangles: Ints) -> None:
-        self.triangles = triangles
-        self._blend = _corner_blend(vertices, triangles)
-        self.corners, self.normals = self.shape(vertices)
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self.triangles = mesh.triangles
+        self._blend = _corner_blend(mesh.vertices, mesh.triangles)
+        self.corners, self.normals = self.shape(mesh.vertices)
 
     def shape(self, vertices: Floats) -> tuple[Floats, Floats]:
         """Corners and their normals for moved vertices, (3 F, 3) each."""
@@ -361,7 +361,7 @@ class _SoftSurface:
     """Surface of the soft body: shape and per-corner stress."""
 
     def __init__(self, body: SoftBody) -> None:
-        self.soup = _Soup(body.rest_positions, body.surface_triangles)
+        self.soup = _Soup(TriangleMesh(body.rest_positions, body.surface_triangles))
         corner_nodes = body.surface_triangles.ravel()
         tets = np.repeat(body.surface_tetrahedra, 3)
         shape = (len(body.rest_positions), len(body.tetrahedra))
