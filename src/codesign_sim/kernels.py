@@ -30,7 +30,7 @@ SETTINGS = (
     "gravity_z",
     "top_speed",
     "contact_stiffness",
-    "obstacles",
+    "obstacle_bits",
     "finger_speed",
     "near_margin",
 )

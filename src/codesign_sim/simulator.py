@@ -345,7 +345,7 @@ class Simulator:
             "gravity_z": self.gravity[2],
             "top_speed": self.top_speed,
             "contact_stiffness": self.contact_stiffness,
-            "obstacles": obstacles,
+            "obstacle_bits": obstacles,
             "finger_speed": finger_speed,
             # Contact is looked for by the first corner of a triangle: its longest edge, and some.
             "near_margin": 1.5 * largest_cell + 1e-3,

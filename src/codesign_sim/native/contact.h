@@ -13,7 +13,7 @@ constexpr int GRID = 8;  // origin (3), cells per metre, size in cells (3), unus
 constexpr int GRID_INDEX = 3;  // offset in the pool, stride of y, stride of z
 constexpr int REPORT = 4;  // force on the object (3), deepest penetration
 
-// What scene.settings holds.
+// What scene.settings holds; the same order as SETTINGS in kernels.py.
 enum Setting {
     SUBSTEPS,
     TIME_STEP,
@@ -25,7 +25,7 @@ enum Setting {
     GRAVITY_Z,
     TOP_SPEED,
     CONTACT_STIFFNESS,
-    PRESENT,  // bit mask of obstacles
+    OBSTACLE_BITS,  // which obstacles are there
     FINGER_SPEED,
     NEAR_MARGIN
 };
@@ -89,7 +89,8 @@ template <int L> struct DistanceGrid {
         const Vec3<F> v = { inside ? u.x : zero, inside ? u.y : zero, inside ? u.z : zero };
         const I ix = __builtin_convertvector(v.x, I), iy = __builtin_convertvector(v.y, I);
         const I iz = __builtin_convertvector(v.z, I);
-        const F tx = v.x - __builtin_convertvector(ix, F), ty = v.y - __builtin_convertvector(iy, F);
+        const F tx = v.x - __builtin_convertvector(ix, F);
+        const F ty = v.y - __builtin_convertvector(iy, F);
         const F tz = v.z - __builtin_convertvector(iz, F);
         const I at = grid.offset + ix + grid.stride_y * iy + grid.stride_z * iz;
         F mean[4], slope[4];  // along x, on the four edges (y, z) of the cell
@@ -111,8 +112,8 @@ template <int L> struct DistanceGrid {
     }
 };
 
-// Force per unit area and stiffness on a point at `p` in the obstacle's frame, with the anchored
-// tangential spring returned to the Coulomb cone; updates the anchor.
+// Force in N on a point at `p`, in the obstacle's frame: the penalty along the normal, and the
+// anchored tangential spring returned to the Coulomb cone. Updates the anchor.
 template <int L>
 CODESIGN_INLINE Vec3<typename Lanes<L>::F> contact_force(Vec3<typename Lanes<L>::F> p,
     Surface<typename Lanes<L>::F> surface, typename Lanes<L>::F stiffness,
@@ -213,8 +214,9 @@ CODESIGN_INLINE void add_contact_forces(const Scene& scene, int group, const flo
     }
 }
 
-// Marks the triangles that can reach an obstacle before the next marking: every corner within
-// `margin` of the finger's grid or of the table. Lanes that leave drop their anchors there.
+// Marks the triangles that can reach an obstacle before the next marking: the first corner within
+// `margin`, which covers a triangle's size, of the finger's grid or of the table. Triangles that
+// are not marked drop their anchors.
 template <int L, class Scene>
 CODESIGN_INLINE void mark_near(const Scene& scene, int group, const float* x, const float* poses,
     typename Lanes<L>::F margin) {
@@ -234,10 +236,10 @@ CODESIGN_INLINE void mark_near(const Scene& scene, int group, const float* x, co
         const Vec3<F> high = { W::environment(g) + cell * W::environment(g + 4 * L) + margin,
             W::environment(g + L) + cell * W::environment(g + 5 * L) + margin,
             W::environment(g + 2 * L) + cell * W::environment(g + 6 * L) + margin };
-        const bool present = int(scene.settings.data[PRESENT]) >> o & 1;
+        const bool present = int(scene.settings.data[OBSTACLE_BITS]) >> o & 1;
         for (int t = 0; t < scene.triangle_items && present; ++t) {
             const int* node = scene.triangle_nodes.data + (size_t)t * 3 * C;
-            const Vec3<F> p = Nodes<L>::load(x, node);  // the margin covers a triangle's size
+            const Vec3<F> p = Nodes<L>::load(x, node);
             bool close;
             if (o == TABLE)
                 close = any(p.z < margin);

@@ -102,7 +102,8 @@ template <class F> CODESIGN_INLINE Mat3<F> deformation(const Vec3<F> x[4], const
 }
 
 // First Piola-Kirchhoff stress P = 2 mu (F - R) + lambda tr(R^T F - I) R.
-template <class F> CODESIGN_INLINE Mat3<F> piola(const Mat3<F>& A, const Mat3<F>& R, F mu, F lambda) {
+template <class F>
+CODESIGN_INLINE Mat3<F> piola(const Mat3<F>& A, const Mat3<F>& R, F mu, F lambda) {
     F trace = A.a[0] * 0.0f - 3.0f;
     for (int k = 0; k < 9; ++k)
         trace = trace + R.a[k] * A.a[k];
@@ -114,7 +115,8 @@ template <class F> CODESIGN_INLINE Mat3<F> piola(const Mat3<F>& A, const Mat3<F>
 }
 
 template <int L, class Scene>
-CODESIGN_INLINE void add_elastic_forces(const Scene& scene, int group, const float* x, float* force) {
+CODESIGN_INLINE void add_elastic_forces(
+    const Scene& scene, int group, const float* x, float* force) {
     typedef Lanes<L> W;
     typedef typename W::F F;
     const float* material = scene.materials.data + (size_t)group * 4 * L;
