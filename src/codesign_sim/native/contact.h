@@ -144,119 +144,131 @@ CODESIGN_INLINE Vec3<typename Lanes<L>::F> contact_force(Vec3<typename Lanes<L>:
     return push * surface.normal + drag * hold;
 }
 
+// One obstacle for one group: a finger at its pose, or the table z = 0.
+template <int L> struct Obstacle {
+    typedef Lanes<L> W;
+    typedef typename W::F F;
+    bool finger;
+    Rigid<F> pose;
+    DistanceGrid<L> grid;
+    float* anchors;  // [triangle item][quadrature point][ANCHOR][width]
+
+    template <class Scene>
+    CODESIGN_INLINE Obstacle load(const Scene& scene, int group, int o, const float* poses) {
+        const bool finger = o != TABLE;
+        const int side = finger ? o : 0;
+        const size_t f = (size_t)group * 2 + side;
+        const size_t anchors = ((size_t)group * OBSTACLES + o) * scene.triangle_items;
+        return { finger, load_pose<L>(poses + side * POSE * L),
+            DistanceGrid<L>::load(scene.grids.data, scene.grid_frames.data + f * GRID * L,
+                scene.grid_indices.data + f * GRID_INDEX * L),
+            scene.anchors.data + anchors * QUADRATURE * ANCHOR * W::width };
+    }
+
+    CODESIGN_INLINE float* anchor(const Obstacle& o, int triangle, int point) {
+        return o.anchors + ((size_t)triangle * QUADRATURE + point) * ANCHOR * W::width;
+    }
+
+    // Whether a point of the world is within `margin` of where contact can be.
+    CODESIGN_INLINE bool reaches(const Obstacle& o, Vec3<F> p, F margin) {
+        if (!o.finger)
+            return any(p.z < margin);
+        const Vec3<F> q = into(o.pose, p) - o.grid.origin;
+        const Vec3<F> high = (1.0f / o.grid.per_metre) * o.grid.size;
+        return any((q.x > -margin) & (q.y > -margin) & (q.z > -margin) & (q.x < high.x + margin)
+            & (q.y < high.y + margin) & (q.z < high.z + margin));
+    }
+
+    // Force on a point of the world, and how deep it is (negative outside).
+    CODESIGN_INLINE Vec3<F> push(const Obstacle& o, Vec3<F> p, F stiffness, F friction,
+        float* anchor, F& depth) {
+        const F zero = W::broadcast(0.0f), one = W::broadcast(1.0f);
+        if (!o.finger) {
+            const Surface<F> s = { zero - p.z, { zero, zero, one } };
+            depth = s.depth;
+            return contact_force<L>(p, s, stiffness, friction, anchor);
+        }
+        const Vec3<F> local = into(o.pose, p);
+        const Surface<F> s = DistanceGrid<L>::sample(o.grid, local);
+        depth = s.depth;
+        if (any(s.depth > zero))
+            return turn(o.pose, contact_force<L>(local, s, stiffness, friction, anchor));
+        W::store(anchor + 3 * W::width, zero);
+        return { zero, zero, zero };
+    }
+};
+
+// Adds the contact forces to the nodes and to `impulse`, and notes the greatest depths.
 template <int L, class Scene>
 CODESIGN_INLINE void add_contact_forces(const Scene& scene, int group, const float* x,
     const float* v, const float* poses, float* force, float* impulse, float* deepest) {
     typedef Lanes<L> W;
     typedef typename W::F F;
     constexpr int C = W::copies, V = W::width;
-    const F zero = W::broadcast(0.0f);
+    const F zero = W::broadcast(0.0f), half = W::broadcast(0.5f), sixth = W::broadcast(1.0f / 6.0f);
     const F beta = W::broadcast(scene.settings.data[STIFFNESS_DAMPING]);
     const F friction = W::environment(scene.materials.data + ((size_t)group * 4 + 3) * L);
+    const float per_area = scene.settings.data[CONTACT_STIFFNESS] / QUADRATURE;
     const int* near = scene.near_obstacle.data + (size_t)group * scene.triangle_items;
-    constexpr size_t anchors_per_triangle = QUADRATURE * ANCHOR * V;
     for (int o = 0; o < OBSTACLES; ++o) {
-        const bool finger = o != TABLE;
-        const size_t f = (size_t)group * 2 + (finger ? o : 0);
-        const auto pose = load_pose<L>(poses + (f - (size_t)group * 2) * POSE * L);
-        const auto grid = DistanceGrid<L>::load(scene.grids.data,
-            scene.grid_frames.data + f * GRID * L, scene.grid_indices.data + f * GRID_INDEX * L);
-        float* anchors = scene.anchors.data
-            + ((size_t)group * OBSTACLES + o) * scene.triangle_items * anchors_per_triangle;
+        const auto obstacle = Obstacle<L>::load(scene, group, o, poses);
         Vec3<F> sum = { zero, zero, zero };
-        F depth = zero;
+        F greatest = zero;
         for (int t = 0; t < scene.triangle_items; ++t) {
             if (!(near[t] & (1 << o)))
                 continue;
             const int* node = scene.triangle_nodes.data + (size_t)t * 3 * C;
-            Vec3<F> corner[3], out[3];
+            const F area = W::item(scene.triangle_areas.data + (size_t)t * C);
+            Vec3<F> corner[3], share[3];
             for (int c = 0; c < 3; ++c) {
                 // A time beta ahead, which damps the contact against the moving obstacle.
                 corner[c] = Nodes<L>::load(x, node + c * C)
                     + beta * Nodes<L>::load(v, node + c * C);
-                out[c] = { zero, zero, zero };
+                share[c] = { zero, zero, zero };
             }
-            const F area = W::item(scene.triangle_areas.data + (size_t)t * C);
-            const F stiffness = (scene.settings.data[CONTACT_STIFFNESS] / QUADRATURE) * area;
-            const Vec3<F> middle = W::broadcast(1.0f / 6.0f) * (corner[0] + corner[1] + corner[2]);
-            for (int q = 0; q < QUADRATURE; ++q) {
-                const Vec3<F> p = W::broadcast(0.5f) * corner[q] + middle;  // (2/3, 1/6, 1/6)
-                float* anchor = anchors + t * anchors_per_triangle + q * ANCHOR * V;
-                Vec3<F> g;
-                Surface<F> s;
-                if (finger) {
-                    const Vec3<F> local = into(pose, p);
-                    s = DistanceGrid<L>::sample(grid, local);
-                    if (!any(s.depth > zero)) {
-                        W::store(anchor + 3 * V, zero);
-                        continue;
-                    }
-                    g = turn(pose, contact_force<L>(local, s, stiffness, friction, anchor));
-                } else {
-                    s = { zero - p.z, { zero, zero, zero + 1.0f } };
-                    g = contact_force<L>(p, s, stiffness, friction, anchor);
-                }
-                depth = max(depth, area > zero ? s.depth : zero);
-                sum = sum + g;
-                const Vec3<F> share = W::broadcast(1.0f / 6.0f) * g;
+            const Vec3<F> middle = sixth * (corner[0] + corner[1] + corner[2]);
+            for (int q = 0; q < QUADRATURE; ++q) {  // at (2/3, 1/6, 1/6) and so on
+                F depth;
+                const Vec3<F> f = Obstacle<L>::push(obstacle, half * corner[q] + middle,
+                    per_area * area, friction, Obstacle<L>::anchor(obstacle, t, q), depth);
+                greatest = max(greatest, area > zero ? depth : zero);
+                sum = sum + f;
                 for (int c = 0; c < 3; ++c)
-                    out[c] = out[c] + share;
-                out[q] = out[q] + W::broadcast(0.5f) * g;
+                    share[c] = share[c] + sixth * f;
+                share[q] = share[q] + half * f;
             }
             for (int c = 0; c < 3; ++c)
-                Nodes<L>::add(force, node + c * C, out[c]);
+                Nodes<L>::add(force, node + c * C, share[c]);
         }
-        float* total = impulse + (size_t)o * 3 * V;
+        float* total = impulse + o * 3 * V;
         W::store(total, W::load(total) + sum.x);
         W::store(total + V, W::load(total + V) + sum.y);
         W::store(total + 2 * V, W::load(total + 2 * V) + sum.z);
-        W::store(deepest + o * V, depth);
+        W::store(deepest + o * V, greatest);
     }
 }
 
 // Marks the triangles that can reach an obstacle before the next marking: the first corner within
-// `margin`, which covers a triangle's size, of the finger's grid or of the table. Triangles that
-// are not marked drop their anchors.
+// `margin`, which covers a triangle's size. Triangles that are not marked drop their anchors.
 template <int L, class Scene>
 CODESIGN_INLINE void mark_near(const Scene& scene, int group, const float* x, const float* poses,
     typename Lanes<L>::F margin) {
     typedef Lanes<L> W;
-    typedef typename W::F F;
-    constexpr int C = W::copies, V = W::width;
     int* near = scene.near_obstacle.data + (size_t)group * scene.triangle_items;
     for (int t = 0; t < scene.triangle_items; ++t)
         near[t] = 0;
     for (int o = 0; o < OBSTACLES; ++o) {
-        const size_t f = (size_t)group * 2 + (o != TABLE ? o : 0);
-        const auto pose = load_pose<L>(poses + (f - (size_t)group * 2) * POSE * L);
-        const float* g = scene.grid_frames.data + f * GRID * L;
-        const F cell = 1.0f / W::environment(g + 3 * L);
-        const Vec3<F> low = { W::environment(g) - margin, W::environment(g + L) - margin,
-            W::environment(g + 2 * L) - margin };
-        const Vec3<F> high = { W::environment(g) + cell * W::environment(g + 4 * L) + margin,
-            W::environment(g + L) + cell * W::environment(g + 5 * L) + margin,
-            W::environment(g + 2 * L) + cell * W::environment(g + 6 * L) + margin };
         const bool present = int(scene.settings.data[OBSTACLE_BITS]) >> o & 1;
-        for (int t = 0; t < scene.triangle_items && present; ++t) {
-            const int* node = scene.triangle_nodes.data + (size_t)t * 3 * C;
-            const Vec3<F> p = Nodes<L>::load(x, node);
-            bool close;
-            if (o == TABLE)
-                close = any(p.z < margin);
-            else {
-                const Vec3<F> q = into(pose, p);
-                close = any((q.x > low.x) & (q.y > low.y) & (q.z > low.z) & (q.x < high.x)
-                    & (q.y < high.y) & (q.z < high.z));
-            }
-            near[t] |= close ? 1 << o : 0;
-        }
-        float* anchors = scene.anchors.data + ((size_t)group * OBSTACLES + o) * scene.triangle_items
-                * QUADRATURE * ANCHOR * V;
-        for (int t = 0; t < scene.triangle_items; ++t)
-            if (!(near[t] & (1 << o)))
+        const auto obstacle = Obstacle<L>::load(scene, group, o, poses);
+        for (int t = 0; t < scene.triangle_items; ++t) {
+            const int* node = scene.triangle_nodes.data + (size_t)t * 3 * W::copies;
+            if (present && Obstacle<L>::reaches(obstacle, Nodes<L>::load(x, node), margin))
+                near[t] |= 1 << o;
+            else
                 for (int q = 0; q < QUADRATURE; ++q)
-                    W::store(anchors + ((size_t)t * QUADRATURE + q) * ANCHOR * V + 3 * V,
+                    W::store(Obstacle<L>::anchor(obstacle, t, q) + 3 * W::width,
                         W::broadcast(0.0f));
+        }
     }
 }
 
