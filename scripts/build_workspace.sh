@@ -13,4 +13,4 @@ if [ -t 1 ]; then status=status+; else status=status-; fi
 cd ros_ws
 exec colcon --log-level error build --symlink-install --event-handlers console_cohesion- $status \
   --cmake-args -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF \
-  -DCMAKE_BUILD_TYPE=Release --no-warn-unused-cli
+  -DCMAKE_C_FLAGS=-O1 -DCMAKE_CXX_FLAGS=-O1 --no-warn-unused-cli

@@ -18,6 +18,9 @@ class SetpointBuffer:
     def __init__(self) -> None:
         self._points: deque[tuple[float, np.ndarray]] = deque(maxlen=KEPT)
 
+    def __len__(self) -> int:
+        return len(self._points)
+
     def clear(self) -> None:
         """Forgets everything."""
         self._points.clear()

@@ -48,12 +48,14 @@ from codesign_nodes.node_tools import (
     declare,
     nanoseconds,
     run,
+    stamp_of,
     steady_clock,
 )
 
 ACTION_PERIOD_NS = round(POLICY_PERIOD * 1e9)
 STATUS_PERIOD = 0.05  # s
 FRESH_STATE_TIMEOUT = 1.0  # s, wait of ~/enable for a joint state
+MAX_CATCH_UP = 5  # control periods that a late timer makes up for
 MIN_GRIPPER_SPEED = 0.015  # m/s, slower ones the gripper does not accept
 
 
@@ -90,6 +92,9 @@ class CartesianController(Node):
         self._fresh: Future | None = None
         self._goal_done: Future | None = None
         self._status_at = 0.0
+        self._started_at = time.monotonic()
+        self._steps = 0
+        self._steps_skipped = 0
         # Lockstep: the tick in hand, and whether a policy answers at all.
         self._pending: Any = None
         self._pending_since = 0.0
@@ -132,7 +137,7 @@ class CartesianController(Node):
             JointCommand, "/joint_command", qos.JOINT_COMMAND_OFFERED
         )
         self._gripper_pub = self.create_publisher(
-            GripperCommand, "/gripper_command", qos.JOINT_COMMAND_OFFERED
+            GripperCommand, "/gripper_command", qos.GRIPPER_COMMAND_OFFERED
         )
         self._pose_pub = self.create_publisher(PoseStamped, "/tcp_pose", qos.POSE_OFFERED)
         self._status_pub = self.create_publisher(ControllerStatus, "~/status", qos.STATE_OFFERED)
@@ -164,19 +169,35 @@ class CartesianController(Node):
     # --- the control step
 
     def _on_timer(self) -> None:
-        self._now = time.monotonic()
-        self._step(None)
+        """Real time: as many steps as have come due, so that a late timer does not halt the hand.
 
-    def _step(self, stamp: Any | None) -> None:
-        """One set-point, stamped with the simulated tick, or with the time when it is ready."""
+        Motion that pauses and goes on at full speed would be a blow to what is held.
+        """
+        period = self._config.period
+        due = int((time.monotonic() - self._started_at) / period) - self._steps
+        if due > MAX_CATCH_UP:
+            self._steps += due - MAX_CATCH_UP
+            self._steps_skipped += due - MAX_CATCH_UP
+        late = min(due, MAX_CATCH_UP) - 1
+        for behind in range(late, -1, -1):
+            self._steps += 1
+            self._now = self._started_at + self._steps * period
+            now = self.get_clock().now().nanoseconds
+            self._step(now, now - round(behind * period * 1e9))
+
+    def _step(self, now: int, valid_at: int) -> None:
+        """One set-point. Both times in nanoseconds: when it is made, and what it is meant for."""
         measured = self._measured if self._measured_is_new else None
         self._measured_is_new = False
         output = self._servo.step(measured, self._now)
         changed = self._output is None or output.state != self._output.state
         self._output = output
-        stamp = stamp or self.get_clock().now().to_msg()
+        if not self._lockstep:
+            now = self.get_clock().now().nanoseconds
+        stamp = stamp_of(now)
         if output.active:
-            self._commands = (self._joint_command(output, stamp), self._gripper_command(stamp))
+            joints = self._joint_command(output, stamp, stamp_of(valid_at))
+            self._commands = (joints, self._gripper_command(stamp))
             self._publish_commands()
         if changed or time.monotonic() - self._status_at > STATUS_PERIOD:
             self._publish_status(stamp)
@@ -184,8 +205,9 @@ class CartesianController(Node):
             self._goal_done.set_result(output.goal)
             self._goal_done = None
 
-    def _joint_command(self, output: ServoOutput, stamp: Any) -> JointCommand:
+    def _joint_command(self, output: ServoOutput, stamp: Any, valid_at: Any) -> JointCommand:
         message = JointCommand(
+            valid_at=valid_at,
             position=output.position,
             velocity=output.velocity,
             action_stamp=self._last_action.header.stamp,
@@ -275,10 +297,9 @@ class CartesianController(Node):
     def _step_if_ready(self) -> None:
         if self._pending is None or self._waits_for_action():
             return
-        stamp, self._pending = self._pending, None
-        self._stepped = nanoseconds(stamp)
+        self._stepped, self._pending = nanoseconds(self._pending), None
         self._now = self._stepped * 1e-9
-        self._step(stamp)
+        self._step(self._stepped, self._stepped)
 
     def _waits_for_action(self) -> bool:
         now = nanoseconds(self._pending)
@@ -463,6 +484,7 @@ class CartesianController(Node):
             ServoState.FAULT: DiagnosticStatus.ERROR,
         }.get(self._output.state, DiagnosticStatus.OK)
         counters = vars(self._output.counters) | {
+            "steps_skipped": self._steps_skipped,
             "messages_rejected": self._rejected,
             "last_rejection": self._last_error,
         }

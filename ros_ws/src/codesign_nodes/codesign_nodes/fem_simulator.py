@@ -9,6 +9,7 @@ import time
 from typing import Any
 
 import numpy as np
+from codesign_control.setpoint_buffer import SetpointBuffer
 from codesign_control.xarm7 import HOME
 from codesign_design.stock import stock_fingers
 from codesign_interfaces.msg import (
@@ -32,7 +33,15 @@ from visualization_msgs.msg import MarkerArray
 
 from codesign_nodes import messages, qos
 from codesign_nodes.markers import SceneMarkers
-from codesign_nodes.node_tools import Diagnostics, declare, nanoseconds, run, stamp_of, steady_clock
+from codesign_nodes.node_tools import (
+    Diagnostics,
+    declare,
+    nanoseconds,
+    run,
+    seconds,
+    stamp_of,
+    steady_clock,
+)
 from codesign_nodes.simulated_cell import CellConfig, SimulatedCell
 
 TICK_NS = 10_000_000  # 100 Hz: joint and gripper states
@@ -66,6 +75,15 @@ class FemSimulator(Node):
                 self, "gripper_speed", 0.1, "default speed of the gap [m/s]", low=0.015, high=0.225
             ),
         )
+        self._delay = declare(
+            self,
+            "command_delay",
+            0.030,
+            "real time: age at which the simulated arm carries out a set-point, as the buffer of a "
+            "real one; jitter up to that stays out of the motion [s]",
+            low=0.0,
+            high=0.2,
+        )
         self._cell = SimulatedCell(config, stock_fingers())
         self._markers = self._scene_markers()
         self._tick = 0
@@ -75,19 +93,24 @@ class FemSimulator(Node):
         self._busy = 0.0
         self._report_at = time.monotonic()
         self._report_tick = 0
-        self._started_at = time.monotonic()
+        self._setpoints = SetpointBuffer()
+        self._started_at, self._started_ns = time.monotonic(), 0
         self._ticks_done = 0
         self._error = ""
         self._commands: dict[str, int] = {}
         self._sent_at = 0.0
+        # May compile kernels first; nobody is to wait for an answer meanwhile.
+        domain = draw_domain(seed)
+        self._cell.reset(domain)
         self._make_interfaces()
-        self._reset(draw_domain(seed))
+        self._publish_mesh(domain)
         self._publish_design()
         if self._lockstep:
             self._timer = self.create_timer(0.05, self._republish, clock=steady_clock())
             self._publish_state()
         else:
             self._started_at = time.monotonic()
+            self._started_ns = self.get_clock().now().nanoseconds
             self._timer = self.create_timer(TICK_NS * 1e-9, self._on_timer, clock=steady_clock())
         self._diagnostics = Diagnostics(self, self._report)
 
@@ -106,7 +129,7 @@ class FemSimulator(Node):
             JointCommand, "/joint_command", self._on_joint_command, qos.JOINT_COMMAND_REQUESTED
         )
         self.create_subscription(
-            GripperCommand, "/gripper_command", self._on_gripper_command, qos.JOINT_COMMAND_REQUESTED
+            GripperCommand, "/gripper_command", self._on_gripper_command, qos.GRIPPER_COMMAND_REQUESTED
         )
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
         self.create_service(ResetSimulation, "~/reset", self._on_reset)
@@ -129,7 +152,13 @@ class FemSimulator(Node):
         for _ in range(due):
             self._ticks_done += 1
             if not self._error:
+                self._follow_setpoints(self._started_ns + self._ticks_done * TICK_NS)
                 self._advance()
+
+    def _follow_setpoints(self, now_ns: int) -> None:
+        position = self._setpoints.at(now_ns * 1e-9 - self._delay)
+        if position is not None:
+            self._cell.command_joints(position)
 
     def _advance_if_ready(self) -> None:
         """Lockstep: goes on once both commands of this tick are there."""
@@ -279,7 +308,10 @@ class FemSimulator(Node):
 
     def _on_joint_command(self, message: JointCommand) -> None:
         try:
-            self._cell.command_joints(np.array(message.position))
+            if self._lockstep:
+                self._cell.command_joints(np.array(message.position))
+            else:
+                self._setpoints.add(seconds(message.valid_at), np.array(message.position))
         except ValueError as error:
             self._reject(error)
             return
@@ -334,6 +366,7 @@ class FemSimulator(Node):
         self._cell.reset(domain)
         self._error = ""
         self._commands.clear()
+        self._setpoints.clear()
         # Time never stands still between trials, and the next one begins on a stress tick, so
         # that what is published when does not depend on how long the last one took.
         self._tick = (self._tick // MARKER_TICKS + 1) * MARKER_TICKS

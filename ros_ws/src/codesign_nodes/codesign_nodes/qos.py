@@ -50,5 +50,7 @@ EVERY = QoSProfile(
 # Longest time between two messages [s]: offered by the publisher, asked for by the subscriber.
 # Actions are increments: one that is overwritten in the queue is missing from the pose for good.
 ACTION_OFFERED, ACTION_REQUESTED = command(0.10, depth=5), command(0.15, depth=5)
-JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05), command(0.10)
+# Set-points carry the moment that they are meant for; a late reader still wants those in between.
+JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05, depth=10), command(0.10, depth=10)
+GRIPPER_COMMAND_OFFERED, GRIPPER_COMMAND_REQUESTED = command(0.05), command(0.10)
 POSE_OFFERED, POSE_REQUESTED = command(0.10), command(0.20)
