@@ -114,34 +114,50 @@ CODESIGN_INLINE Mat3<F> piola(const Mat3<F>& A, const Mat3<F>& R, F mu, F lambda
     return P;
 }
 
+// One vector of tetrahedra at node positions x.
+template <int L> struct Element {
+    typedef Lanes<L> W;
+    typedef typename W::F F;
+    const int* node;  // four times W::copies
+    F B[9], volume;
+    Mat3<F> A;  // deformation gradient
+
+    template <class Scene>
+    CODESIGN_INLINE Element load(const Scene& scene, int t, const float* x) {
+        constexpr int C = W::copies;
+        const float* shape = scene.tet_shapes.data + (size_t)t * SHAPE * C;
+        Element e;
+        e.node = scene.tet_nodes.data + (size_t)t * 4 * C;
+        Vec3<F> corner[4];
+        for (int c = 0; c < 4; ++c)
+            corner[c] = Nodes<L>::load(x, e.node + c * C);
+        for (int k = 0; k < 9; ++k)
+            e.B[k] = W::item(shape + k * C);
+        e.volume = W::item(shape + 9 * C);
+        e.A = deformation(corner, e.B);
+        return e;
+    }
+};
+
 template <int L, class Scene>
 CODESIGN_INLINE void add_elastic_forces(
     const Scene& scene, int group, const float* x, float* force) {
     typedef Lanes<L> W;
     typedef typename W::F F;
+    constexpr int C = W::copies;
     const float* material = scene.materials.data + (size_t)group * 4 * L;
     const F mu = W::environment(material), lambda = W::environment(material + L);
-    const int* node = scene.tet_nodes.data;
-    const float* shape = scene.tet_shapes.data;
-    constexpr int C = W::copies;
-    for (int t = 0; t < scene.tet_items; ++t, node += 4 * C, shape += SHAPE * C) {
-        Vec3<F> corner[4];
-        for (int c = 0; c < 4; ++c)
-            corner[c] = Nodes<L>::load(x, node + c * C);
-        F B[9];
-        for (int k = 0; k < 9; ++k)
-            B[k] = W::item(shape + k * C);
-        const F volume = W::item(shape + 9 * C);
-        const Mat3<F> A = deformation(corner, B);
-        const Mat3<F> P = piola(A, rotation(A), mu * volume, lambda * volume);
+    for (int t = 0; t < scene.tet_items; ++t) {
+        const Element<L> e = Element<L>::load(scene, t, x);
+        const Mat3<F> P = piola(e.A, rotation(e.A), mu * e.volume, lambda * e.volume);
         Vec3<F> f[4];
         for (int c = 0; c < 3; ++c) {  // f_{1..3} = - V P B^T, by columns
-            const Vec3<F> b = { B[3 * c], B[3 * c + 1], B[3 * c + 2] };
+            const Vec3<F> b = { e.B[3 * c], e.B[3 * c + 1], e.B[3 * c + 2] };
             f[c + 1] = { -dot(row(P, 0), b), -dot(row(P, 1), b), -dot(row(P, 2), b) };
         }
         f[0] = W::broadcast(-1.0f) * (f[1] + f[2] + f[3]);
         for (int c = 0; c < 4; ++c)
-            Nodes<L>::add(force, node + c * C, f[c]);
+            Nodes<L>::add(force, e.node + c * C, f[c]);
     }
 }
 
@@ -156,21 +172,12 @@ template <class F> CODESIGN_INLINE F von_mises(const Mat3<F>& s) {
 template <int L, class Scene> CODESIGN_INLINE void stress(const Scene& scene, int group) {
     typedef Lanes<L> W;
     typedef typename W::F F;
-    constexpr int C = W::copies, R_ = W::width;
     const float* material = scene.materials.data + (size_t)group * 4 * L;
     const F mu = W::environment(material), lambda = W::environment(material + L);
     const float* x = scene.positions.data + (size_t)group * scene.node_rows * ROW * L;
-    const int* node = scene.tet_nodes.data;
-    const float* shape = scene.tet_shapes.data;
-    float* out = scene.stresses.data + (size_t)group * scene.tet_items * 2 * R_;
-    for (int t = 0; t < scene.tet_items; ++t, node += 4 * C, shape += SHAPE * C, out += 2 * R_) {
-        Vec3<F> corner[4];
-        for (int c = 0; c < 4; ++c)
-            corner[c] = Nodes<L>::load(x, node + c * C);
-        F B[9];
-        for (int k = 0; k < 9; ++k)
-            B[k] = W::item(shape + k * C);
-        const Mat3<F> A = deformation(corner, B);
+    float* out = scene.stresses.data + (size_t)group * scene.tet_items * 2 * W::width;
+    for (int t = 0; t < scene.tet_items; ++t, out += 2 * W::width) {
+        const Mat3<F> A = Element<L>::load(scene, t, x).A;
         const Mat3<F> R = rotation(A);
         const Mat3<F> P = piola(A, R, mu, lambda);
         const F volume = dot(row(A, 0), cross(row(A, 1), row(A, 2)));
@@ -182,7 +189,7 @@ template <int L, class Scene> CODESIGN_INLINE void stress(const Scene& scene, in
                 corotated.a[3 * i + j] = dot(column(R, i), column(P, j));  // R^T P
             }
         W::store(out, von_mises(cauchy));
-        W::store(out + R_, von_mises(corotated));
+        W::store(out + W::width, von_mises(corotated));
     }
 }
 
