@@ -136,7 +136,8 @@ class JointMotion:
 
     def _safe_stop(self, state: JointState) -> np.ndarray | None:
         """Profile of the stop from `state`, or None where it would leave a limit."""
-        if np.abs(state.acceleration).max() > self._config.joint_acceleration * (1 + ROUNDING):
+        most = self._config.joint_acceleration * (1 + ROUNDING)
+        if not np.abs(state.acceleration).max() <= most:  # NaN is unsafe, too
             return None
         if state.at_rest:
             stop = JointState.standing(state.position).profile()
@@ -197,4 +198,5 @@ class JointMotion:
 
 def _scale_into(values: np.ndarray, limit: np.ndarray | float) -> float:
     """The largest factor up to 1 that brings every |value| under its limit."""
-    return min(1.0, float((limit / np.maximum(np.abs(values), 1e-300)).min()))
+    excess = np.abs(values) / np.maximum(limit, 1e-300)  # 0 under a limit of 0 is no excess
+    return 1.0 / max(1.0, float(excess.max()))

@@ -4,6 +4,7 @@ import json
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -115,6 +116,16 @@ def test_urdf_inertias_are_physical() -> None:
         principal = np.sort(np.linalg.eigvalsh(inertia.inertia))
         assert principal[0] > 0
         assert principal[2] <= principal[0] + principal[1]
+
+
+def test_urdf_is_the_same_arm_in_mujoco(arm: Xarm7) -> None:
+    model = mujoco.MjModel.from_xml_string(urdf())
+    data = mujoco.MjData(model)
+    data.qpos[:] = [0.3, -0.4, 0.5, 1.2, -0.6, 0.9, 2.0]
+    mujoco.mj_kinematics(model, data)
+    flange = arm.fk_flange(data.qpos)
+    np.testing.assert_allclose(data.body("link7").xpos, flange.position, atol=1e-9)
+    np.testing.assert_allclose(data.body("link7").xmat.reshape(3, 3), flange.rotation, atol=1e-9)
 
 
 @pytest.mark.parametrize(
