@@ -413,6 +413,7 @@ class Simulator:
     @property
     def top_speed(self) -> float:
         """Speed in m/s at which nodes are held, so that violent contact stays bounded."""
+        self._require_reset()
         return CELL_SHARE * self.block.smallest_edge / self.time_step
 
     @property

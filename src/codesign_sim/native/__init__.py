@@ -1,0 +1,1 @@
+"""C++ headers that Warp compiles into the kernels; start reading at fem.h."""
