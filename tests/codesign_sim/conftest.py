@@ -1,12 +1,9 @@
 """Shared fingers and simulators."""
 
-import numpy as np
 import pytest
+from small_block import SMALL, around
 
-from codesign_sim import Block, FingerTargets, Material, Simulator, SurfaceMesh
-
-# A coarse tofu: large cells, hence large time steps and fast tests.
-SMALL = Block(cells=(5, 3, 4))
+from codesign_sim import Material, Simulator, SurfaceMesh
 
 
 @pytest.fixture(scope="session")
@@ -32,8 +29,3 @@ def grasped(pads) -> Simulator:
     simulator.advance(0.2, around(0.026))
     simulator.advance(0.2, around(0.026, height=0.036))
     return simulator
-
-
-def around(width: float, height: float = 0.026, environments: int = 1) -> FingerTargets:
-    place = np.tile([0.0, 0.0, height], (environments, 1))
-    return FingerTargets.from_above(place, width)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import SMALL
+from small_block import SMALL
 
 from codesign_sim import Block, Material, Simulator
 from codesign_sim.material import stable_time_step

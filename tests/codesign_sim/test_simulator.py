@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import SMALL, around
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from small_block import SMALL, around
 
 from codesign_sim import FingerTargets, Material, SimulationError, Simulator, SurfaceMesh
 

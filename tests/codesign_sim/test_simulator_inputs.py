@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import SMALL, around
+from small_block import SMALL, around
 
 from codesign_sim import FingerTargets, Material, SimulationError, Simulator
 

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from small_block import SMALL
 
-from codesign_sim import Material, StressMeasure
+from codesign_sim import Material, Simulator, StressMeasure
 from codesign_sim.stress import summarise
 
 
@@ -41,10 +42,6 @@ def test_pressure_has_no_von_mises_stress(floating):
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_stress_does_not_change_under_rigid_motion(seed):
-    from conftest import SMALL
-
-    from codesign_sim import Simulator
-
     simulator = Simulator(SMALL, table_height=None, gravity=(0, 0, 0))
     simulator.reset(Material())
     rng = np.random.default_rng(seed)

@@ -20,7 +20,9 @@ template <class F> CODESIGN_INLINE Mat3<F> from_rows(Vec3<F> p, Vec3<F> q, Vec3<
 }
 
 constexpr float NEARLY_FLAT = 0.02f;  // below this volume ratio Newton's iteration is not safe
-constexpr float ROTATION_STEP2 = 1e-7f;  // squared last step; the error left is half of it
+// Squared last step of Newton's iteration. The error left, half of it, is a symmetric stretch by
+// 5e-6: 0.03 Pa at E = 9 kPa, and no torque.
+constexpr float ROTATION_STEP2 = 1e-5f;
 constexpr int NEWTON_STEPS = 8;
 constexpr int FLAT_STEPS = 24;
 
