@@ -14,9 +14,8 @@ from codesign_sim.mesh import SurfaceMesh
 
 SPACING = 1e-3  # metres; edges sharper than this are rounded to about it
 _MARGIN_CELLS = 2
-BAND = wp.constant(
-    4e-3
-)  # metres; beyond this depth, which no grasp reaches, distances are approximate
+# Metres; distances are exact in cells within it, that is to 1.3 mm deep, which no grasp reaches.
+BAND = wp.constant(3e-3)
 _LARGEST = 20_000_000  # cells; 80 MB
 
 wp.set_module_options({"enable_backward": False})
@@ -47,24 +46,33 @@ class DistanceGrid:
 
 
 @wp.kernel
-def _distance_within_band(
-    mesh: wp.uint64, points: wp.array[wp.vec3], distance: wp.array[wp.float32]
+def _nearest(
+    mesh: wp.uint64,
+    points: wp.array[wp.vec3],
+    distance: wp.array[wp.float32],
+    side: wp.array[wp.float32],
 ):
+    """Distance up to the band, and the side (-1 inside, 1 outside) where the nearest point tells.
+
+    It does if it lies within a face; the normals at an edge or a corner may point either way.
+    """
     i = wp.tid()
     hit = wp.mesh_query_point_no_sign(mesh, points[i], BAND)
-    if hit.result:  # type: ignore[attr-defined]
-        nearest = wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)  # type: ignore
-        distance[i] = wp.length(points[i] - nearest)  # type: ignore
-    else:
-        distance[i] = BAND  # type: ignore
+    distance[i] = BAND  # type: ignore
+    side[i] = 0.0  # type: ignore
+    if hit.result:  # type: ignore
+        way = points[i] - wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)  # type: ignore
+        distance[i] = wp.length(way)  # type: ignore
+        if wp.min(wp.min(hit.u, hit.v), 1.0 - hit.u - hit.v) > 1.0e-3:  # type: ignore
+            side[i] = wp.sign(wp.dot(way, wp.mesh_eval_face_normal(mesh, hit.face)))  # type: ignore
 
 
 @wp.kernel
-def _sign(mesh: wp.uint64, points: wp.array[wp.vec3], sign: wp.array[wp.float32]):
-    # By winding number: the sign of the nearest face's normal errs beside sharp edges.
+def _side(mesh: wp.uint64, points: wp.array[wp.vec3], side: wp.array[wp.float32]):
+    """The side by winding number, right everywhere but ten times as slow."""
     i = wp.tid()
     hit = wp.mesh_query_point_sign_winding_number(mesh, points[i], 1.0e6)
-    sign[i] = hit.sign  # type: ignore
+    side[i] = hit.sign  # type: ignore
 
 
 def bake(mesh: SurfaceMesh, spacing: float = SPACING) -> DistanceGrid:
@@ -107,34 +115,38 @@ def _bake_cached(key: _ByContent, spacing: float) -> DistanceGrid:
         indices=wp.array(mesh.faces.ravel(), dtype=wp.int32, device="cpu"),
         support_winding_number=True,
     )
-    distance = _query(_distance_within_band, surface, points).reshape(shape[::-1])
-    signs = _signs(surface, points, distance, spacing)
-    return DistanceGrid(low, spacing, (signs * _beyond_band(distance, spacing)).astype(np.float32))
+    distance, side = _query(_nearest, surface, points, results=2)
+    signed = _everywhere(side, distance.reshape(shape[::-1]), spacing, surface, points)
+    return DistanceGrid(low, spacing, signed.astype(np.float32))
 
 
-def _query(kernel: wp.Kernel, surface: wp.Mesh, points: np.ndarray) -> np.ndarray:
-    result = wp.zeros(len(points), dtype=wp.float32, device="cpu")
+def _query(
+    kernel: wp.Kernel, surface: wp.Mesh, points: np.ndarray, results: int = 1
+) -> list[np.ndarray]:
+    """What a kernel finds at each point."""
+    found = [wp.zeros(len(points), dtype=wp.float32, device="cpu") for _ in range(results)]
     where: wp.array = wp.array(points, dtype=wp.vec3, device="cpu")
-    wp.launch(kernel, dim=len(points), inputs=[surface.id, where, result], device="cpu")
-    return result.numpy()
+    wp.launch(kernel, dim=len(points), inputs=[surface.id, where, *found], device="cpu")
+    return [array.numpy() for array in found]
 
 
-def _signs(
-    surface: wp.Mesh, points: np.ndarray, distance: np.ndarray, spacing: float
+def _everywhere(
+    side: np.ndarray, distance: np.ndarray, spacing: float, surface: wp.Mesh, points: np.ndarray
 ) -> np.ndarray:
-    """-1 inside and +1 outside.
+    """Signed distances, from the sides that are known.
 
     No surface passes between neighbours that are both farther than half a cell from it, so one
-    query decides a whole connected region; only what is nearer is asked point by point.
+    point decides a whole connected region; only what is nearer is asked point by point.
     """
-    far, _ = ndimage.label(distance > 0.501 * spacing)
-    near = np.flatnonzero(far == 0)
-    regions, first = np.unique(far, return_index=True)
-    by_region = np.zeros(len(regions) + 1)
-    by_region[regions] = _query(_sign, surface, points[first])
-    signs = by_region[far]
-    signs.ravel()[near] = _query(_sign, surface, points[near])
-    return signs
+    region, _ = ndimage.label(distance > 0.501 * spacing)
+    near = region.ravel() == 0
+    regions, first = np.unique(region, return_index=True)
+    side_of = np.zeros(regions.max() + 1)
+    side_of[regions] = _query(_side, surface, points[first])[0]
+    unsure = near & (side == 0)
+    side = np.where(near, side, side_of[region].ravel())
+    side[unsure] = _query(_side, surface, points[unsure])[0]
+    return side.reshape(distance.shape) * _beyond_band(distance, spacing)
 
 
 def _beyond_band(distance: np.ndarray, spacing: float) -> np.ndarray:
