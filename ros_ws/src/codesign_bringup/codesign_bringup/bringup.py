@@ -8,6 +8,7 @@ Exit codes: the job's; 0 after Ctrl-C; 3 when a node died; 2 for bad arguments.
 """
 
 import argparse
+import contextlib
 import ctypes
 import os
 import signal
@@ -58,13 +59,18 @@ class Graph:
         self.stop()
 
     def start(
-        self, name: str, parameters: dict[str, Any] | None = None, *, lockstep: bool = False
+        self,
+        name: str,
+        parameters: dict[str, Any] | None = None,
+        *,
+        lockstep: bool = False,
+        nice: int = 0,
     ) -> Child:
-        """Starts one node of codesign_nodes with these parameters."""
+        """Starts one node of codesign_nodes with these parameters and this niceness."""
         command = [str(executable("codesign_nodes", name)), "--ros-args"]
         for key, value in ({"use_sim_time": lockstep} | (parameters or {})).items():
             command += ["-p", f"{key}:={yaml.safe_dump(value, default_flow_style=True).split(chr(10))[0]}"]
-        process = _spawn(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        process = _spawn(command, nice, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         child = Child(name, process)
         self._children.append(child)
         threading.Thread(target=self._forward, args=(child,), daemon=True).start()
@@ -170,7 +176,12 @@ def run_graph(
     with Graph(log_folder, quiet=quiet) as graph:
         defaults = profile.get("parameters", {})
         for node in profile["nodes"]:
-            graph.start(node, defaults.get(node, {}) | settings.get(node, {}), lockstep=lockstep)
+            graph.start(
+                node,
+                defaults.get(node, {}) | settings.get(node, {}),
+                lockstep=lockstep,
+                nice=profile.get("nice", {}).get(node, 0),
+            )
         process = _spawn(_job_command(job)) if job else None
         try:
             return _watch(graph, process, interrupted)
@@ -202,7 +213,7 @@ def _job_command(job: list[str]) -> list[str]:
     return [str(own), *job[1:]] if own.exists() else job
 
 
-def _spawn(command: list[str], **options: Any) -> subprocess.Popen[str]:
+def _spawn(command: list[str], nice: int = 0, **options: Any) -> subprocess.Popen[str]:
     environment = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "OMP_NUM_THREADS": "1",
@@ -216,13 +227,15 @@ def _spawn(command: list[str], **options: Any) -> subprocess.Popen[str]:
         text=True,
         env=environment,
         start_new_session=True,
-        preexec_fn=_die_with_parent,
+        preexec_fn=lambda: _before_exec(nice),
         **options,
     )
 
 
-def _die_with_parent() -> None:
+def _before_exec(nice: int) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    with contextlib.suppress(PermissionError):
+        os.nice(nice)
 
 
 def _end(process: subprocess.Popen[str]) -> None:

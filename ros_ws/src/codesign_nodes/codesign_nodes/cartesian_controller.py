@@ -37,7 +37,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -45,6 +44,7 @@ from std_srvs.srv import SetBool, Trigger
 from codesign_nodes import messages, qos
 from codesign_nodes.node_tools import (
     Diagnostics,
+    LeanNode,
     declare,
     nanoseconds,
     run,
@@ -54,12 +54,13 @@ from codesign_nodes.node_tools import (
 
 ACTION_PERIOD_NS = round(POLICY_PERIOD * 1e9)
 STATUS_PERIOD = 0.05  # s
-FRESH_STATE_TIMEOUT = 1.0  # s, wait of ~/enable for a joint state
+FRESH_STATE_TIMEOUT = 4.0  # s, wait of ~/enable for a joint state
 MAX_CATCH_UP = 5  # control periods that a late timer makes up for
+GRID_TOLERANCE_NS = 100_000_000
 MIN_GRIPPER_SPEED = 0.015  # m/s, slower ones the gripper does not accept
 
 
-class CartesianController(Node):
+class CartesianController(LeanNode):
     """Wraps `CartesianServo` and keeps the gripper's target."""
 
     def __init__(self) -> None:
@@ -81,6 +82,7 @@ class CartesianController(Node):
         self._gripper_state: GripperState | None = None
         self._measured: np.ndarray | None = None
         self._measured_is_new = False
+        self._observations = 0
         self._width = math.nan  # measured
         self._width_target: float | None = None
         self._width_speed = 0.0
@@ -88,13 +90,14 @@ class CartesianController(Node):
         self._rejected = 0
         self._last_error = ""
         self._output: ServoOutput | None = None
-        self._commands: tuple[JointCommand, GripperCommand] | None = None
+        self._commands: tuple[JointCommand, GripperCommand | None] | None = None
         self._fresh: Future | None = None
         self._goal_done: Future | None = None
         self._status_at = 0.0
         self._started_at = time.monotonic()
         self._steps = 0
         self._steps_skipped = 0
+        self._grid_origin = self.get_clock().now().nanoseconds
         # Lockstep: the tick in hand, and whether a policy answers at all.
         self._pending: Any = None
         self._pending_since = 0.0
@@ -178,12 +181,19 @@ class CartesianController(Node):
         if due > MAX_CATCH_UP:
             self._steps += due - MAX_CATCH_UP
             self._steps_skipped += due - MAX_CATCH_UP
-        late = min(due, MAX_CATCH_UP) - 1
-        for behind in range(late, -1, -1):
+        for _ in range(min(due, MAX_CATCH_UP)):
             self._steps += 1
-            self._now = self._started_at + self._steps * period
+            self._now = time.monotonic()
             now = self.get_clock().now().nanoseconds
-            self._step(now, now - round(behind * period * 1e9))
+            self._step(now, self._moment(now))
+
+    def _moment(self, now: int) -> int:
+        """What the step in hand is meant for, on an even grid [ns]; a jump of the clock moves it."""
+        on_grid = self._grid_origin + round(self._steps * self._config.period * 1e9)
+        if abs(on_grid - now) > GRID_TOLERANCE_NS:
+            self._grid_origin += now - on_grid
+            return now
+        return on_grid
 
     def _step(self, now: int, valid_at: int) -> None:
         """One set-point. Both times in nanoseconds: when it is made, and what it is meant for."""
@@ -196,8 +206,8 @@ class CartesianController(Node):
             now = self.get_clock().now().nanoseconds
         stamp = stamp_of(now)
         if output.active:
-            joints = self._joint_command(output, stamp, stamp_of(valid_at))
-            self._commands = (joints, self._gripper_command(stamp))
+            gripper = self._gripper_command(stamp) if self._is_slow_tick(valid_at) else None
+            self._commands = (self._joint_command(output, stamp, stamp_of(valid_at)), gripper)
             self._publish_commands()
         if changed or time.monotonic() - self._status_at > STATUS_PERIOD:
             self._publish_status(stamp)
@@ -221,10 +231,19 @@ class CartesianController(Node):
         message.header.stamp = stamp
         return message
 
+    def _is_slow_tick(self, valid_at: int) -> bool:
+        """Whether the gripper is due: 20 times a second, on the policy's grid in lockstep."""
+        if self._lockstep:
+            return valid_at % ACTION_PERIOD_NS == 0
+        return self._steps % round(POLICY_PERIOD / self._config.period) == 0
+
     def _publish_commands(self) -> None:
-        if self._commands is not None:
-            self._gripper_pub.publish(self._commands[1])
-            self._joint_pub.publish(self._commands[0])
+        if self._commands is None:
+            return
+        joints, gripper = self._commands
+        if gripper is not None:
+            self._gripper_pub.publish(gripper)
+        self._joint_pub.publish(joints)
 
     def _gap_target(self) -> float:
         """What the gripper is to do now: hold what it measures until something else is asked."""
@@ -245,9 +264,15 @@ class CartesianController(Node):
             self._observe()
 
     def _observe_if_complete(self) -> None:
-        """Lockstep: arm and gripper of the same tick, in whatever order they arrive."""
+        """Lockstep: arm and gripper of the same tick, in whatever order they arrive.
+
+        The gripper reports on the policy's grid only; in between its last state counts.
+        """
         arm, gripper = self._joint_state, self._gripper_state
-        if arm is None or gripper is None or arm.header.stamp != gripper.header.stamp:
+        if arm is None or gripper is None:
+            return
+        on_grid = nanoseconds(arm.header.stamp) % ACTION_PERIOD_NS == 0
+        if on_grid and arm.header.stamp != gripper.header.stamp:
             return
         self._observe()
         self._on_simulated_tick(arm.header.stamp)
@@ -257,10 +282,17 @@ class CartesianController(Node):
         self._measured = np.array(self._joint_state.position[:7])
         self._measured_is_new = True
         self._width = self._gripper_state.width
-        if np.isfinite(self._measured).all():
+        self._observations += 1
+        if self._pose_is_due() and np.isfinite(self._measured).all():
             self._publish_pose(self._joint_state.header.stamp)
         if self._fresh is not None and not self._fresh.done():
             self._fresh.set_result(True)
+
+    def _pose_is_due(self) -> bool:
+        """Every second time, 50 Hz; in lockstep whenever the policy looks."""
+        if self._lockstep:
+            return nanoseconds(self._joint_state.header.stamp) % ACTION_PERIOD_NS == 0
+        return self._observations % 2 == 0
 
     def _publish_pose(self, stamp: Any) -> None:
         pose = grasp_pose(self._arm, self._gripper, self._measured, self._width)

@@ -1,8 +1,7 @@
 """Node fem_simulator: the simulated cell on the topics of a real arm.
 
 At real time it ticks every 10 ms. With use_sim_time it is the clock: in lockstep it publishes a
-tick's state, waits for the joint and gripper commands with that tick's stamp, and goes on at
-once, so that the same seed gives the same trial bit for bit.
+tick's state, waits for the commands with that tick's stamp, and goes on at once, so that the same seed gives the same trial bit for bit.
 """
 
 import time
@@ -25,7 +24,6 @@ from codesign_interfaces.srv import ResetSimulation
 from codesign_policy.domain import TrialDomain, draw_domain
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -35,6 +33,7 @@ from codesign_nodes import messages, qos
 from codesign_nodes.markers import SceneMarkers
 from codesign_nodes.node_tools import (
     Diagnostics,
+    LeanNode,
     declare,
     nanoseconds,
     run,
@@ -44,15 +43,14 @@ from codesign_nodes.node_tools import (
 )
 from codesign_nodes.simulated_cell import CellConfig, SimulatedCell
 
-TICK_NS = 10_000_000  # 100 Hz: joint and gripper states
-POSE_TICKS = 5  # 20 Hz: object pose, as a camera would
-STRESS_TICKS = 5  # 20 Hz: stress, shape
+TICK_NS = 10_000_000  # 100 Hz: joint states
+SLOW_TICKS = 5  # 20 Hz: gripper state, object pose, stress, shape; the policy's grid
 MARKER_TICKS = 10  # 10 Hz
 MAX_CATCH_UP = 5  # ticks that a late timer makes up for
 REPUBLISH_AFTER = 0.1  # s of waiting in lockstep before the state is sent again
 
 
-class FemSimulator(Node):
+class FemSimulator(LeanNode):
     """Publishes what a real arm would, and the ground truth that only a simulator has."""
 
     def __init__(self) -> None:
@@ -69,7 +67,7 @@ class FemSimulator(Node):
                 self, "open_width", 0.06, "gap after a reset [m]", low=0.035, high=0.084
             ),
             arm_lag=declare(
-                self, "arm_lag", 0.010, "time constant of the simulated arm [s]", low=0.0, high=0.2
+                self, "arm_lag", 0.010, "time constant of each of the arm's two lags [s]", low=0.001, high=0.2
             ),
             gripper_speed=declare(
                 self, "gripper_speed", 0.1, "default speed of the gap [m/s]", low=0.015, high=0.225
@@ -78,7 +76,7 @@ class FemSimulator(Node):
         self._delay = declare(
             self,
             "command_delay",
-            0.030,
+            0.050,
             "real time: age at which the simulated arm carries out a set-point, as the buffer of a "
             "real one; jitter up to that stays out of the motion [s]",
             low=0.0,
@@ -162,10 +160,10 @@ class FemSimulator(Node):
 
     def _advance_if_ready(self) -> None:
         """Lockstep: goes on once both commands of this tick are there."""
+        needed = {"arm", "gripper"} if self._tick % SLOW_TICKS == 0 else {"arm"}
         now = self._tick * TICK_NS
-        if self._paused or self._error or set(self._commands.values()) != {now}:
-            return
-        if len(self._commands) == 2:
+        there = {name for name, stamp in self._commands.items() if stamp == now}
+        if needed <= there and not self._paused and not self._error:
             self._commands.clear()
             self._advance()
 
@@ -196,11 +194,10 @@ class FemSimulator(Node):
         if self._clock_pub is not None:
             self._clock_pub.publish(Clock(clock=stamp))
         # The block and the gripper first: who acts on the joint state finds the rest there.
-        if self._tick % STRESS_TICKS == 0:
+        if self._tick % SLOW_TICKS == 0:
             self._publish_truth(stamp)
-        if self._tick % POSE_TICKS == 0:
             self._publish_object_pose(stamp)
-        self._publish_gripper(stamp)
+            self._publish_gripper(stamp)
         self._publish_joints(stamp)
         if self._tick % MARKER_TICKS == 0:
             self._publish_markers()
@@ -237,7 +234,7 @@ class FemSimulator(Node):
         simulator = self._cell.simulator
         stress, contact = simulator.stress(), simulator.contact()
         message = Stress(
-            measure=Stress.CAUCHY,
+            measure=Stress.COROTATED,
             top10_mean=float(stress.top10_mean[0]),
             mean=float(stress.mean[0]),
             median=float(stress.median[0]),

@@ -16,11 +16,10 @@ from codesign_policy.scripted import GraspPlan
 from codesign_policy.task import POLICY_PERIOD, Observation
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from codesign_nodes import messages, qos
-from codesign_nodes.node_tools import Diagnostics, declare, nanoseconds, run, steady_clock
+from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, nanoseconds, run, steady_clock
 
 PERIOD_NS = round(POLICY_PERIOD * 1e9)
 STATE_NAMES = {
@@ -31,7 +30,7 @@ STATE_NAMES = {
 }
 
 
-class PolicyNode(Node):
+class PolicyNode(LeanNode):
     """Serves one policy of `codesign_policy`."""
 
     def __init__(self) -> None:

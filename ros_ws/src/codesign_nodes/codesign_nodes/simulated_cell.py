@@ -20,7 +20,7 @@ class CellConfig:
         table_height: z of the table in link_base [m].
         home: posture after a reset, (7,) [rad].
         open_width: gap after a reset [m].
-        arm_lag: time constant with which the arm follows its set-point [s].
+        arm_lag: time constant of each of the two lags with which the arm follows its set-point [s].
         gripper_speed: of the gap where a command states none [m/s].
     """
 
@@ -44,7 +44,7 @@ class SimulatedCell:
             Block.tofu(config.tetrahedra), _surfaces(fingers), table_height=config.table_height
         )
         self._arm_model = ArmModel(
-            self._arm, ArmModelConfig(time_constant=config.arm_lag), config.home
+            self._arm, ArmModelConfig(order=2, time_constant=config.arm_lag), config.home
         )
         self.gripper = GripperModel(fingers.protrusion, width=config.open_width)
         self.gripper_velocity = 0.0

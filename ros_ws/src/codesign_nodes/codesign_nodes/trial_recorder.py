@@ -14,7 +14,6 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory
 from codesign_interfaces.srv import StartRecording, StopRecording
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -33,13 +32,13 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from codesign_nodes.node_tools import Diagnostics, declare, run, steady_clock
+from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, run, steady_clock
 
 DEPTH = 1000  # messages that a subscription may keep while the executor is busy
 QUEUE = 20_000  # messages that may wait for the disk
 
 
-class TrialRecorder(Node):
+class TrialRecorder(LeanNode):
     """Records between the services ~/start and ~/stop."""
 
     def __init__(self) -> None:

@@ -17,13 +17,13 @@ from codesign_policy.metrics import GraspMetrics, grasp_metrics
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
-from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from codesign_nodes import messages, qos
 from codesign_nodes.node_tools import (
     Diagnostics,
+    LeanNode,
     declare,
     nanoseconds,
     run,
@@ -46,7 +46,7 @@ class TrialLog:
     end: int | None = None
 
 
-class TrialRunner(Node):
+class TrialRunner(LeanNode):
     """Serves the action /run_trial, one goal at a time."""
 
     def __init__(self) -> None:
