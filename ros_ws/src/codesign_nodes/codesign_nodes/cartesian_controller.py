@@ -1,11 +1,16 @@
 """Node cartesian_controller: actions in, joint and gripper set-points out.
 
-At real time a steady timer steps the servo. With use_sim_time the joint state is the clock: each
+At real time a thread of its own steps the servo at absolute deadlines: the executor's wake-ups
+are no clock. With use_sim_time the joint state is the clock: each
 new stamp is answered with one set-point of the same stamp, and on the policy's grid the set-point
 waits for the action that answers that stamp.
 """
 
 import math
+import os
+import signal
+import sys
+import threading
 import time
 from typing import Any
 
@@ -94,6 +99,9 @@ class CartesianController(LeanNode):
         self._fresh: Future | None = None
         self._goal_done: Future | None = None
         self._status_at = 0.0
+        # The control thread and the executor's callbacks share the servo.
+        self._lock = threading.RLock()
+        self._closing = threading.Event()
         self._started_at = time.monotonic()
         self._steps = 0
         self._steps_skipped = 0
@@ -165,27 +173,63 @@ class CartesianController(LeanNode):
             cancel_callback=self._on_cancel,
             callback_group=waiting,
         )
-        period = 0.05 if self._lockstep else self._config.period
-        on_timer = self._give_up_waiting if self._lockstep else self._on_timer
-        self._timer = self.create_timer(period, on_timer, clock=steady_clock())
+        if self._lockstep:
+            self._timer = self.create_timer(0.05, self._give_up_waiting, clock=steady_clock())
+        else:
+            # The thread asks for the interpreter 100 times a second, and not only when the
+            # executor has had it for the default 5 ms.
+            sys.setswitchinterval(0.0005)
+            self._thread = threading.Thread(target=self._control, name="control", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Ends the control thread."""
+        self._closing.set()
+        if not self._lockstep:
+            self._thread.join(1.0)
 
     # --- the control step
 
-    def _on_timer(self) -> None:
-        """Real time: as many steps as have come due, so that a late timer does not halt the hand.
+    def _control(self) -> None:
+        """Real time: wakes at absolute deadlines until the node is closed."""
+        period = self._config.period
+        while not self._closing.is_set():
+            due_in = self._started_at + (self._steps + 1) * period - time.monotonic()
+            if due_in > 0.0:
+                time.sleep(due_in)
+            try:
+                with self._lock:
+                    self._catch_up()
+            except Exception as error:
+                if self.context.ok():
+                    self.get_logger().fatal(f"control stopped: {type(error).__name__}: {error}")
+                    os.kill(os.getpid(), signal.SIGINT)
+                return
+
+    def _catch_up(self) -> None:
+        """As many steps as have come due, so that a late wake-up does not halt the hand.
 
         Motion that pauses and goes on at full speed would be a blow to what is held.
         """
         period = self._config.period
-        due = int((time.monotonic() - self._started_at) / period) - self._steps
+        due = int((time.monotonic() - self._started_at) / period + 1e-6) - self._steps
         if due > MAX_CATCH_UP:
             self._steps += due - MAX_CATCH_UP
             self._steps_skipped += due - MAX_CATCH_UP
         for _ in range(min(due, MAX_CATCH_UP)):
-            self._steps += 1
-            self._now = time.monotonic()
-            now = self.get_clock().now().nanoseconds
-            self._step(now, self._moment(now))
+            self._step_on_grid()
+
+    def _answer_at_once(self) -> None:
+        """An action's first set-point goes out now, up to a period ahead of its moment."""
+        ahead = self._started_at + (self._steps + 1) * self._config.period - time.monotonic()
+        if 0.0 < ahead <= self._config.period:
+            self._step_on_grid()
+
+    def _step_on_grid(self) -> None:
+        self._steps += 1
+        self._now = time.monotonic()
+        now = self.get_clock().now().nanoseconds
+        self._step(now, self._moment(now))
 
     def _moment(self, now: int) -> int:
         """What the step in hand is meant for, on an even grid [ns]; a jump of the clock moves it."""
@@ -257,11 +301,12 @@ class CartesianController(LeanNode):
         if len(message.position) < 7:
             self._reject(f"joint state with {len(message.position)} positions: must be 7")
             return
-        self._joint_state = message
-        if self._lockstep:
-            self._observe_if_complete()
-        elif self._gripper_state is not None:
-            self._observe()
+        with self._lock:
+            self._joint_state = message
+            if self._lockstep:
+                self._observe_if_complete()
+            elif self._gripper_state is not None:
+                self._observe()
 
     def _observe_if_complete(self) -> None:
         """Lockstep: arm and gripper of the same tick, in whatever order they arrive.
@@ -305,13 +350,16 @@ class CartesianController(LeanNode):
         if not math.isfinite(message.width):
             self._reject(f"gripper state with width {message.width} m: must be finite")
             return
-        self._gripper_state = message
-        if self._lockstep:
-            self._observe_if_complete()
+        with self._lock:
+            self._gripper_state = message
+            if self._lockstep:
+                self._observe_if_complete()
 
     def _on_design(self, message: FingerDesign) -> None:
         try:
-            self._gripper = GripperModel(messages.design_from(message).protrusion)
+            gripper = GripperModel(messages.design_from(message).protrusion)
+            with self._lock:
+                self._gripper = gripper
         except ValueError as error:
             self._reject(str(error))
 
@@ -351,10 +399,16 @@ class CartesianController(LeanNode):
     # --- actions
 
     def _on_action(self, message: ControlAction) -> None:
+        with self._lock:
+            self._take_action(message)
+
+    def _take_action(self, message: ControlAction) -> None:
         if self._lockstep and self._pending is not None:
             self._now = nanoseconds(self._pending) * 1e-9
         try:
             self._submit(message)
+            if not self._lockstep:
+                self._answer_at_once()
         except ActionRejected as error:
             self._last_error = str(error)
             self.get_logger().warning(f"rejected: {error}", throttle_duration_sec=1.0)
@@ -398,21 +452,24 @@ class CartesianController(LeanNode):
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         if not request.data:
-            self._servo.disable()
+            with self._lock:
+                self._servo.disable()
             response.success, response.message = True, "disabled"
             return response
         if not await self._fresh_state():
             response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
             return response
         try:
-            self._servo.enable(self._measured, self._time())
+            with self._lock:
+                self._servo.enable(self._measured, self._time())
+                self._width_target = None
+                self._policy_absent = False
+                # Lockstep: the tick that stood while disabled wants an answer now.
+                self._stepped = -1
+                self._last_action = ControlAction()
         except MoveRejected as error:
             response.message = str(error)
             return response
-        self._width_target = None
-        self._policy_absent = False
-        self._stepped = -1  # lockstep: the tick that stood while disabled wants an answer now
-        self._last_action = ControlAction()
         response.success, response.message = True, "holding"
         return response
 
@@ -423,7 +480,8 @@ class CartesianController(LeanNode):
             response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
             return response
         try:
-            self._servo.reset_fault(self._measured, self._time())
+            with self._lock:
+                self._servo.reset_fault(self._measured, self._time())
         except MoveRejected as error:
             response.message = str(error)
             return response
@@ -448,25 +506,20 @@ class CartesianController(LeanNode):
         return self._now if self._lockstep else time.monotonic()
 
     def _on_cancel(self, _: Any) -> CancelResponse:
-        self._servo.cancel()
+        with self._lock:
+            self._servo.cancel()
         return CancelResponse.ACCEPT
 
     async def _execute_move(self, goal: Any) -> MoveTo.Result:
         request = goal.request
         result = MoveTo.Result()
         try:
-            self._servo.move_to(
-                self._move_target(request), self._time(), request.speed_scale or 0.3
-            )
+            done = self._start_move(request)
         except (MoveRejected, ValueError) as error:
             result.message = str(error)
             goal.abort()
             return result
-        if math.isfinite(request.width):
-            self._width_target = self._gripper.clip(request.width)
-            self._width_speed = 0.0
-        self._goal_done = Future()
-        outcome = await self._goal_done
+        outcome = await done
         result.success = outcome is GoalState.REACHED
         result.message = outcome.value
         if result.success:
@@ -476,6 +529,16 @@ class CartesianController(LeanNode):
         else:
             goal.abort()
         return result
+
+    def _start_move(self, request: MoveTo.Goal) -> Future:
+        with self._lock:
+            target = self._move_target(request)
+            self._servo.move_to(target, self._time(), request.speed_scale or 0.3)
+            if math.isfinite(request.width):
+                self._width_target = self._gripper.clip(request.width)
+                self._width_speed = 0.0
+            self._goal_done = Future()
+            return self._goal_done
 
     def _move_target(self, request: MoveTo.Goal) -> Any:
         """Joints, or a pose of link_tcp, or the start posture when neither is given."""

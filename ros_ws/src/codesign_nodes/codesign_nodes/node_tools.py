@@ -37,9 +37,11 @@ class LeanNode(Node):
         return super().create_publisher(*args, **kwargs)
 
     def mismatched_topics(self) -> list[str]:
-        """Subscribed topics that have a publisher whose QoS offers less than is asked for."""
+        """Subscribed topics none of whose publishers offers the QoS that is asked for."""
         found = []
         for subscription in self.subscriptions:
+            if subscription.get_publisher_count():  # somebody fits; asking further takes long
+                continue
             for offered in self.get_publishers_info_by_topic(subscription.topic_name):
                 verdict, _ = qos_check_compatible(offered.qos_profile, subscription.qos_profile)
                 if verdict == QoSCompatibility.ERROR:
