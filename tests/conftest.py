@@ -1,5 +1,6 @@
 """Shared by the tests that start processes: a DDS domain of their own, and a node that looks on."""
 
+import contextlib
 import os
 import threading
 import time
@@ -33,10 +34,8 @@ class Probe:
     def _spin(self) -> None:
         from rclpy.executors import ExternalShutdownException
 
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            pass
 
     def close(self) -> None:
         self._executor.shutdown()

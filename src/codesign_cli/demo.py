@@ -20,9 +20,7 @@ def demo(
     tetrahedra: Annotated[int, typer.Option(help="resolution of the block: 600 or 2400")] = 2400,
     real_time: Annotated[
         bool,
-        typer.Option(
-            "--real-time", help="on the wall clock; default: simulated time, repeatable"
-        ),
+        typer.Option("--real-time", help="on the wall clock; default: simulated time, repeatable"),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="print summary.json at the end")] = False,
 ) -> None:
@@ -38,7 +36,9 @@ def demo(
     command += ["--", "run_trials", "--count", str(trials), "--seed", str(seed), "--out", str(part)]
     code = run_process(command)
     if code not in (0, 1):
-        typer.echo(f"codesign demo: the graph ended with exit code {code}: see {part}/logs", err=True)
+        typer.echo(
+            f"codesign demo: the graph ended with exit code {code}: see {part}/logs", err=True
+        )
         raise typer.Exit(code)
     _report(part)
     _replace(part, out)
@@ -55,7 +55,9 @@ def demo(
 def _empty_folder(out: Path) -> Path:
     """A folder beside `out` to work in: an earlier result stays until the new one is whole."""
     if out.exists() and any(out.iterdir()) and not (out / "summary.json").exists():
-        typer.echo(f"codesign demo: {out} is not empty and no run of ours: choose another", err=True)
+        typer.echo(
+            f"codesign demo: {out} is not empty and no run of ours: choose another", err=True
+        )
         raise typer.Exit(NOT_OURS)
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)

@@ -136,10 +136,10 @@ class ScriptedGrasp:
         down = np.array(
             [centre[0], centre[1], self._table_height + plan.clearance + self._tip_depth]
         )
-        up = down + [0.0, 0.0, plan.lift]
+        up = down + np.array([0.0, 0.0, plan.lift])
         opened = plan.open_width
         approach_time = max(
-            _duration(np.linalg.norm(over - observation.tcp_position), plan.speed),
+            _duration(float(np.linalg.norm(over - observation.tcp_position)), plan.speed),
             _duration(abs(opened - observation.width), 2.0 * plan.close_speed),
         )
         return [
@@ -180,4 +180,4 @@ def _minimum_jerk(s: float) -> float:
 
 def _duration(distance: float, peak_speed: float) -> float:
     """Time of a minimum-jerk move with that peak speed: its peak is 1.875 times its mean."""
-    return 1.875 * float(distance) / peak_speed
+    return 1.875 * distance / peak_speed

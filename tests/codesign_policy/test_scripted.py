@@ -35,7 +35,7 @@ def run(
         assert np.abs(action.normalised()).max() <= 1.0 + 1e-12
         assert np.all(action.rotation == 0.0)
         if step not in lost:
-            state = state + [*action.translation, action.width]
+            state = state + np.append(action.translation, action.width)
         history.append(state)
         ends[policy.phase] = state
         if policy.done:
@@ -76,7 +76,7 @@ def test_moves_no_faster_than_planned() -> None:
         action = policy.act(Observation(state[:3], OBJECT, float(state[3])))
         speeds.append(np.linalg.norm(action.translation) / 0.05)
         closing.append(-action.width / 0.05)
-        state = state + [*action.translation, action.width]
+        state = state + np.append(action.translation, action.width)
     assert max(speeds) <= 1.05 * PLAN.speed
     assert max(closing) <= 2.1 * PLAN.close_speed
     assert max(np.abs(np.diff(speeds))) < ACTION_SCALE[0] / 0.05  # no start or stop in one step
@@ -85,11 +85,13 @@ def test_moves_no_faster_than_planned() -> None:
 def test_goes_on_holding_when_done_and_starts_anew_after_reset() -> None:
     policy = grasp()
     run(policy)
-    here = Observation(np.array([*OBJECT[:2], PLAN.clearance + TIP + PLAN.lift]), OBJECT, PLAN.width)
+    here = Observation(
+        np.array([*OBJECT[:2], PLAN.clearance + TIP + PLAN.lift]), OBJECT, PLAN.width
+    )
     assert np.abs(policy.act(here).normalised()).max() < 0.05
     policy.reset()
     assert policy.phase == "idle"
-    assert list(run(policy))[0] == "approach"
+    assert next(iter(run(policy))) == "approach"
 
 
 def test_refuses_fingers_that_cannot_close_far_enough() -> None:

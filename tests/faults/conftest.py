@@ -18,8 +18,8 @@ class FakeArm:
 
     def __init__(self, probe: Any) -> None:
         from codesign_interfaces.msg import (
-            ControllerStatus,
             ControlAction,
+            ControllerStatus,
             GripperCommand,
             GripperState,
             JointCommand,
@@ -41,9 +41,7 @@ class FakeArm:
         self._kinds = (JointState, GripperState, PoseStamped)
         node = probe.node
         self._joint_pub = node.create_publisher(JointState, "/joint_states", qos.STATE_OFFERED)
-        self._gripper_pub = node.create_publisher(
-            GripperState, "/gripper_state", qos.STATE_OFFERED
-        )
+        self._gripper_pub = node.create_publisher(GripperState, "/gripper_state", qos.STATE_OFFERED)
         self._pose_pub = node.create_publisher(PoseStamped, "/object_pose", qos.POSE_OFFERED)
         self._design_pub = node.create_publisher(
             type(messages.design_message(stock_fingers())), "/finger_design", qos.LATCHED

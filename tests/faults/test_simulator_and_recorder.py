@@ -60,9 +60,7 @@ def test_commands_that_are_not_finite_do_not_move_the_arm(simulator: Any) -> Non
 
     node = simulator.node
     joints = node.create_publisher(JointCommand, "/joint_command", qos.JOINT_COMMAND_OFFERED)
-    gripper = node.create_publisher(
-        GripperCommand, "/gripper_command", qos.GRIPPER_COMMAND_OFFERED
-    )
+    gripper = node.create_publisher(GripperCommand, "/gripper_command", qos.GRIPPER_COMMAND_OFFERED)
     simulator.wait_for(lambda: joints.get_subscription_count(), 10.0, "discovery")
     before = np.array(simulator.latest("/joint_states").position)
     for _ in range(5):

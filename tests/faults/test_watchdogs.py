@@ -159,8 +159,9 @@ def test_bad_actions_are_counted_and_never_reach_the_arm(arm: FakeArm, graph: An
         count = arm.probe.latest("/cartesian_controller/status").actions_rejected
         arm.action_pub.publish(action)
         arm.probe.wait_for(
-            lambda count=count: arm.probe.latest("/cartesian_controller/status").actions_rejected
-            > count,
+            lambda count=count: (
+                arm.probe.latest("/cartesian_controller/status").actions_rejected > count
+            ),
             3.0,
             f"{values} is rejected",
         )

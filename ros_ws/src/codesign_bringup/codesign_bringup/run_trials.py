@@ -92,16 +92,17 @@ def _run(options: argparse.Namespace) -> int:
 
 def _progress(console: Console) -> Progress:
     return Progress(
-        TextColumn("{task.description}"), BarColumn(bar_width=30), TimeElapsedColumn(), console=console
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=30),
+        TimeElapsedColumn(),
+        console=console,
     )
 
 
 def _goal(options: argparse.Namespace, seed: int, name: str) -> RunTrial.Goal:
     bag = str((options.out / name).resolve()) if options.out else ""
     undrawn = dict.fromkeys(TrialDomain.get_fields_and_field_types(), math.nan)
-    return RunTrial.Goal(
-        gripper=options.gripper, seed=seed, bag=bag, domain=TrialDomain(**undrawn)
-    )
+    return RunTrial.Goal(gripper=options.gripper, seed=seed, bag=bag, domain=TrialDomain(**undrawn))
 
 
 def _feedback(progress: Progress, task: Any, name: str) -> Any:

@@ -15,6 +15,23 @@ import time
 from typing import Any
 
 import numpy as np
+from codesign_interfaces.action import MoveTo
+from codesign_interfaces.msg import (
+    ControlAction,
+    ControllerStatus,
+    FingerDesign,
+    GripperCommand,
+    GripperState,
+    JointCommand,
+)
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
 from codesign_control import (
     ActionRejected,
     CartesianServo,
@@ -28,24 +45,6 @@ from codesign_control import (
     Xarm7,
 )
 from codesign_control.grasp_frame import grasp_pose, tcp_translation
-from codesign_interfaces.action import MoveTo
-from codesign_interfaces.msg import (
-    ControlAction,
-    ControllerStatus,
-    FingerDesign,
-    GripperCommand,
-    GripperState,
-    JointCommand,
-)
-from codesign_policy.task import MAX_WIDTH_CHANGE, POLICY_PERIOD
-from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.task import Future
-from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
-
 from codesign_nodes import messages, qos
 from codesign_nodes.node_tools import (
     Diagnostics,
@@ -56,6 +55,7 @@ from codesign_nodes.node_tools import (
     stamp_of,
     steady_clock,
 )
+from codesign_policy.task import MAX_WIDTH_CHANGE, POLICY_PERIOD
 
 ACTION_PERIOD_NS = round(POLICY_PERIOD * 1e9)
 STATUS_PERIOD = 0.05  # s
@@ -152,18 +152,14 @@ class CartesianController(LeanNode):
         )
         self._pose_pub = self.create_publisher(PoseStamped, "/tcp_pose", qos.POSE_OFFERED)
         self._status_pub = self.create_publisher(ControllerStatus, "~/status", qos.STATE_OFFERED)
-        self.create_subscription(
-            ControlAction, "/action", self._on_action, qos.ACTION_REQUESTED
-        )
+        self.create_subscription(ControlAction, "/action", self._on_action, qos.ACTION_REQUESTED)
         self.create_subscription(JointState, "/joint_states", self._on_joint_state, qos.STATE)
         self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.STATE)
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
         # These wait for a joint state; in a group of their own they do not keep it from coming.
         waiting = ReentrantCallbackGroup()
         self.create_service(SetBool, "~/enable", self._on_enable, callback_group=waiting)
-        self.create_service(
-            Trigger, "~/reset_fault", self._on_reset_fault, callback_group=waiting
-        )
+        self.create_service(Trigger, "~/reset_fault", self._on_reset_fault, callback_group=waiting)
         self._server = ActionServer(
             self,
             MoveTo,
@@ -232,7 +228,7 @@ class CartesianController(LeanNode):
         self._step(now, self._moment(now))
 
     def _moment(self, now: int) -> int:
-        """What the step in hand is meant for, on an even grid [ns]; a jump of the clock moves it."""
+        """What this step is meant for, on an even grid [ns]; a jump of the clock moves it."""
         on_grid = self._grid_origin + round(self._steps * self._config.period * 1e9)
         if abs(on_grid - now) > GRID_TOLERANCE_NS:
             self._grid_origin += now - on_grid
@@ -240,7 +236,7 @@ class CartesianController(LeanNode):
         return on_grid
 
     def _step(self, now: int, valid_at: int) -> None:
-        """One set-point. Both times in nanoseconds: when it is made, and what it is meant for."""
+        """One set-point. Both times in nanoseconds: when it is made, what it is meant for."""
         measured = self._measured if self._measured_is_new else None
         self._measured_is_new = False
         output = self._servo.step(measured, self._now)
@@ -549,9 +545,7 @@ class CartesianController(LeanNode):
         if request.pose.header.frame_id != "link_base":
             raise ValueError(f"pose in frame {request.pose.header.frame_id!r}: must be link_base")
         pose = request.pose.pose
-        return Pose(
-            messages.from_xyz(pose.position), messages.from_quaternion(pose.orientation)
-        )
+        return Pose(messages.from_xyz(pose.position), messages.from_quaternion(pose.orientation))
 
     # --- reports
 

@@ -1,16 +1,14 @@
 """Node fem_simulator: the simulated cell on the topics of a real arm.
 
 At real time it ticks every 10 ms. With use_sim_time it is the clock: in lockstep it publishes a
-tick's state, waits for the commands with that tick's stamp, and goes on at once, so that the same seed gives the same trial bit for bit.
+tick's state, waits for the commands with that tick's stamp, and goes on at once, so that the same
+seed gives the same trial bit for bit.
 """
 
 import time
 from typing import Any
 
 import numpy as np
-from codesign_control.setpoint_buffer import SetpointBuffer
-from codesign_control.xarm7 import HOME
-from codesign_design.stock import stock_fingers
 from codesign_interfaces.msg import (
     FingerDesign,
     GripperCommand,
@@ -21,7 +19,6 @@ from codesign_interfaces.msg import (
     Stress,
 )
 from codesign_interfaces.srv import ResetSimulation
-from codesign_policy.domain import TrialDomain, draw_domain
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rosgraph_msgs.msg import Clock
@@ -29,6 +26,9 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from codesign_control.setpoint_buffer import SetpointBuffer
+from codesign_control.xarm7 import HOME
+from codesign_design.stock import stock_fingers
 from codesign_nodes import messages, qos
 from codesign_nodes.markers import SceneMarkers
 from codesign_nodes.node_tools import (
@@ -42,6 +42,7 @@ from codesign_nodes.node_tools import (
     steady_clock,
 )
 from codesign_nodes.simulated_cell import CellConfig, SimulatedCell
+from codesign_policy.domain import TrialDomain, draw_domain
 
 TICK_NS = 10_000_000  # 100 Hz: joint states
 SLOW_TICKS = 5  # 20 Hz: gripper state, object pose, stress, shape; the policy's grid
@@ -55,7 +56,9 @@ class FemSimulator(LeanNode):
 
     def __init__(self) -> None:
         super().__init__("fem_simulator")
-        seed = declare(self, "seed", 0, "seed of the first block's material and place", low=0, high=2**53)
+        seed = declare(
+            self, "seed", 0, "seed of the first block's material and place", low=0, high=2**53
+        )
         self._lockstep = self.get_parameter("use_sim_time").value
         config = CellConfig(
             home=HOME,
@@ -67,7 +70,12 @@ class FemSimulator(LeanNode):
                 self, "open_width", 0.06, "gap after a reset [m]", low=0.035, high=0.084
             ),
             arm_lag=declare(
-                self, "arm_lag", 0.010, "time constant of each of the arm's two lags [s]", low=0.001, high=0.2
+                self,
+                "arm_lag",
+                0.010,
+                "time constant of each of the arm's two lags [s]",
+                low=0.001,
+                high=0.2,
             ),
             gripper_speed=declare(
                 self, "gripper_speed", 0.1, "default speed of the gap [m/s]", low=0.015, high=0.225
@@ -114,7 +122,9 @@ class FemSimulator(LeanNode):
 
     def _make_interfaces(self) -> None:
         offered = qos.STATE_OFFERED
-        self._clock_pub = self.create_publisher(Clock, "/clock", offered) if self._lockstep else None
+        self._clock_pub = (
+            self.create_publisher(Clock, "/clock", offered) if self._lockstep else None
+        )
         self._joint_pub = self.create_publisher(JointState, "/joint_states", offered)
         self._gripper_pub = self.create_publisher(GripperState, "/gripper_state", offered)
         self._pose_pub = self.create_publisher(PoseStamped, "/object_pose", qos.POSE_OFFERED)
@@ -127,7 +137,10 @@ class FemSimulator(LeanNode):
             JointCommand, "/joint_command", self._on_joint_command, qos.JOINT_COMMAND_REQUESTED
         )
         self.create_subscription(
-            GripperCommand, "/gripper_command", self._on_gripper_command, qos.GRIPPER_COMMAND_REQUESTED
+            GripperCommand,
+            "/gripper_command",
+            self._on_gripper_command,
+            qos.GRIPPER_COMMAND_REQUESTED,
         )
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
         self.create_service(ResetSimulation, "~/reset", self._on_reset)

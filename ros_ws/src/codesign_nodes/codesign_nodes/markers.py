@@ -8,12 +8,13 @@ numbers are written into the bytes: a publisher takes serialised messages as the
 from typing import Any
 
 import numpy as np
-from codesign_design.finger_pair import FingerPair, TriangleMesh
 from geometry_msgs.msg import Point, Pose
 from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
+
+from codesign_design.finger_pair import FingerPair, TriangleMesh
 
 STRESS_FULL_SCALE = 2000.0  # Pa, the darkest colour
 # Numbers that mark the places in the serialised message; no real coordinate is one of them.

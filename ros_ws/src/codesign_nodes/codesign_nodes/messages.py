@@ -5,13 +5,14 @@ import math
 from typing import Any
 
 import numpy as np
-from codesign_design.finger_pair import FingerPair, TriangleMesh
 from codesign_interfaces.msg import FingerDesign
 from codesign_interfaces.msg import TrialDomain as TrialDomainMsg
-from codesign_policy.domain import TrialDomain
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from numpy.typing import NDArray
 from shape_msgs.msg import Mesh, MeshTriangle
+
+from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_policy.domain import TrialDomain
 
 
 def floats(values: NDArray[Any]) -> array.array:

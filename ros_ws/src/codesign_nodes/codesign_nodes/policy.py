@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from codesign_interfaces.msg import ControlAction as ControlActionMsg
 from codesign_interfaces.msg import FingerDesign, GripperState, PolicyStatus
-from codesign_policy.policy import Policy, Surroundings, load_policy, policy_names
-from codesign_policy.scripted import GraspPlan
-from codesign_policy.task import POLICY_PERIOD, Observation
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import Trigger
 
 from codesign_nodes import messages, qos
 from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, nanoseconds, run, steady_clock
+from codesign_policy.policy import Policy, Surroundings, load_policy, policy_names
+from codesign_policy.scripted import GraspPlan
+from codesign_policy.task import POLICY_PERIOD, Observation
 
 PERIOD_NS = round(POLICY_PERIOD * 1e9)
 STATE_NAMES = {

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from codesign_control import ArmModel, ArmModelConfig, GripperModel, Xarm7
 from codesign_control.grasp_frame import grasp_pose
 from codesign_design.finger_pair import FingerPair, TriangleMesh
 from codesign_policy.domain import TrialDomain
 from codesign_sim import Block, FingerTargets, Material, Simulator, SurfaceMesh
-from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)

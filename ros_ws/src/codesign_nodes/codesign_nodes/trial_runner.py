@@ -13,7 +13,6 @@ import numpy as np
 from codesign_interfaces.action import MoveTo, RunTrial
 from codesign_interfaces.msg import PolicyStatus, Stress, TrialDomain, TrialMetrics, TrialState
 from codesign_interfaces.srv import ResetSimulation, StartRecording, StopRecording
-from codesign_policy.metrics import GraspMetrics, grasp_metrics
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
@@ -30,6 +29,7 @@ from codesign_nodes.node_tools import (
     stamp_of,
     steady_clock,
 )
+from codesign_policy.metrics import GraspMetrics, grasp_metrics
 
 
 class TrialError(RuntimeError):
