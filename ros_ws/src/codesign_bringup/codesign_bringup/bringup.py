@@ -30,6 +30,7 @@ from ament_index_python.packages import (
 
 NODE_DIED = 3
 GRACE = 5.0  # s after SIGINT, and again after SIGTERM
+FIFO_PRIORITY = 10  # of 1..99: before everything normal, behind what the system runs there
 _PR_SET_PDEATHSIG = 1
 
 
@@ -65,15 +66,19 @@ class Graph:
         *,
         lockstep: bool = False,
         nice: int = 0,
+        realtime: bool = False,
     ) -> Child:
-        """Starts one node of codesign_nodes with these parameters and this niceness."""
+        """Starts one node of codesign_nodes with these parameters.
+
+        Where permitted with this niceness, or under the real-time scheduler SCHED_FIFO.
+        """
         command = [str(executable("codesign_nodes", name)), "--ros-args"]
         for key, value in ({"use_sim_time": lockstep} | (parameters or {})).items():
             command += [
                 "-p",
                 f"{key}:={yaml.safe_dump(value, default_flow_style=True).split(chr(10))[0]}",
             ]
-        process = _spawn(command, nice, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        process = _spawn(command, nice, realtime, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         child = Child(name, process)
         self._children.append(child)
         threading.Thread(target=self._forward, args=(child,), daemon=True).start()
@@ -184,6 +189,7 @@ def run_graph(
                 defaults.get(node, {}) | settings.get(node, {}),
                 lockstep=lockstep,
                 nice=profile.get("nice", {}).get(node, 0),
+                realtime=node in profile.get("realtime", []),
             )
         process = _spawn(_job_command(job)) if job else None
         try:
@@ -214,7 +220,9 @@ def _job_command(job: list[str]) -> list[str]:
     return [str(own), *job[1:]] if own.exists() else job
 
 
-def _spawn(command: list[str], nice: int = 0, **options: Any) -> subprocess.Popen[str]:
+def _spawn(
+    command: list[str], nice: int = 0, realtime: bool = False, **options: Any
+) -> subprocess.Popen[str]:
     environment = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "OMP_NUM_THREADS": "1",
@@ -228,15 +236,17 @@ def _spawn(command: list[str], nice: int = 0, **options: Any) -> subprocess.Pope
         text=True,
         env=environment,
         start_new_session=True,
-        preexec_fn=lambda: _before_exec(nice),
+        preexec_fn=lambda: _before_exec(nice, realtime),
         **options,
     )
 
 
-def _before_exec(nice: int) -> None:
+def _before_exec(nice: int, realtime: bool) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     with contextlib.suppress(PermissionError):
         os.nice(nice)
+        if realtime:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
 
 
 def _end(process: subprocess.Popen[str]) -> None:

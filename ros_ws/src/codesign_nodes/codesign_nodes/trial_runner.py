@@ -4,6 +4,7 @@ With a simulator in the graph the object and the arm are reset through it; witho
 moves to its start posture and a person puts the object there.
 """
 
+import contextlib
 import math
 import time
 from dataclasses import dataclass, field
@@ -93,6 +94,7 @@ class TrialRunner(LeanNode):
         self._pause = self.create_client(Trigger, "/fem_simulator/pause")
         self._resume = self.create_client(Trigger, "/fem_simulator/resume")
         self._enable = self.create_client(SetBool, "/cartesian_controller/enable")
+        self._reset_fault = self.create_client(Trigger, "/cartesian_controller/reset_fault")
         self._move_to = ActionClient(self, MoveTo, "/cartesian_controller/move_to")
         self._start_policy = self.create_client(Trigger, "/policy/start")
         self._stop_policy = self.create_client(Trigger, "/policy/stop")
@@ -205,10 +207,16 @@ class TrialRunner(LeanNode):
                 seed=request.seed, domain=request.domain, paused=self._lockstep
             )
             domain = (await self._call(self._reset, reset)).domain
+            await self._clear_fault()
         await self._call(self._enable, SetBool.Request(data=True))
         if not self._simulated:
             await self._go_home()
         return domain
+
+    async def _clear_fault(self) -> None:
+        """A simulated arm needs no person to look at it before it goes on."""
+        with contextlib.suppress(TrialError):  # no fault: nothing to reset
+            await self._call(self._reset_fault, Trigger.Request())
 
     async def _go_home(self) -> None:
         if not self._move_to.wait_for_server(self._service_timeout):
