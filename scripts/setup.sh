@@ -9,7 +9,7 @@ root=$PWD
 venv=$root/.venv
 
 fail() { echo "set-up: $*" >&2; exit 1; }
-step() { printf '\033[1m[set-up]\033[0m %s\n' "$*"; }
+step() { echo "[set-up] $*"; }
 
 # --- what must be there already: one line says what is missing and how to get it
 missing=()

@@ -140,6 +140,7 @@ def run(make_node: Callable[[], Node]) -> None:
     """
     rclpy.init()
     node: Node | None = None
+    executor: SingleThreadedExecutor | None = None
     code = 0
     try:
         node = make_node()
@@ -163,4 +164,8 @@ def run(make_node: Callable[[], Node]) -> None:
                 close()
             node.destroy_node()
         rclpy.try_shutdown()
+        # What is still there when the interpreter ends, some bindings report as leaked.
+        node = executor = None
+        gc.unfreeze()
+        gc.collect()
     sys.exit(code)
