@@ -33,6 +33,18 @@ headers=$("$python" -c 'import sysconfig; print(sysconfig.get_paths()["include"]
 [ -f "$headers/Python.h" ] ||
   fail "$python lacks its headers ($headers/Python.h). Debian, Ubuntu: sudo apt-get install python3-dev"
 
+"$python" - <<'CHECK' || echo "set-up: no offscreen OpenGL for the videos. Debian, Ubuntu: sudo apt-get install libegl1 libgl1-mesa-dri"
+import ctypes
+for library in ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so"):
+    try:
+        ctypes.CDLL(library)
+        break
+    except OSError:
+        pass
+else:
+    raise SystemExit(1)
+CHECK
+
 ros=wheels
 if [ -n "${AMENT_PREFIX_PATH:-}" ] && [ "${ROS_DISTRO:-}" = jazzy ]; then
   ros=sourced
@@ -66,8 +78,8 @@ requirements=(requirements/python.txt requirements/colcon.txt requirements/dev.t
 [ $ros = sourced ] || requirements+=(requirements/ros-jazzy.txt)
 requirements_key=$(hash_of "${requirements[@]}")
 if ! is_done requirements "$requirements_key"; then
-  step "pinned dependencies (about 1 GB on disk, some minutes the first time)"
-  "$venv/bin/python" -m pip install --disable-pip-version-check --quiet --progress-bar on \
+  step "pinned dependencies (some minutes the first time)"
+  "$venv/bin/python" -m pip install --disable-pip-version-check --progress-bar on \
     "${requirements[@]/#/-r}" 9>&- || fail "pip could not install the dependencies (see above); run the same command again to go on"
   mark_done requirements "$requirements_key"
 fi
@@ -90,7 +102,7 @@ fi
 
 # --- the colcon workspace
 workspace_key=$(find ros_ws/src -type f \( -path '*/codesign_interfaces/*' -o -name package.xml \
-  -o -name 'setup.*' -o -path '*/resource/*' \) -print0 | sort -z | xargs -0 sha256sum |
+  -o -name 'setup.*' -o -path '*/resource/*' -o -path '*/config/*' \) -print0 | sort -z | xargs -0 sha256sum |
   cat - <(echo "$requirements_key $venv_key $root") | sha256sum | cut -c1-16)
 if ! is_done workspace "$workspace_key"; then
   step "colcon workspace (messages are generated and compiled: about half a minute)"
@@ -103,6 +115,6 @@ kernels_key=$(find src/codesign_sim -type f \( -name '*.py' -o -name '*.h' \) ! 
   -print0 | sort -z | xargs -0 cat | sha256sum | cut -c1-16)
 if ! is_done kernels "$kernels_key"; then
   step "compiling the simulator's kernels"
-  "$venv/bin/python" -c 'import codesign_sim; codesign_sim.warm_up()' 9>&-
+  "$venv/bin/codesign" sim warm-up 9>&-
   mark_done kernels "$kernels_key"
 fi
