@@ -3,10 +3,10 @@
 from codesign_report.bag import BagError, read_trial, trial_metrics
 from codesign_report.build import RunReport, build
 from codesign_report.recording import (
-    Domain,
     MotionSeries,
     SoftBody,
     StressSeries,
+    TrialDomain,
     TrialRecording,
     TriangleMesh,
 )
@@ -14,12 +14,12 @@ from codesign_report.report import SkippedBag, TrialResult, write_report, write_
 
 __all__ = [
     "BagError",
-    "Domain",
     "MotionSeries",
     "RunReport",
     "SkippedBag",
     "SoftBody",
     "StressSeries",
+    "TrialDomain",
     "TrialRecording",
     "TrialResult",
     "TriangleMesh",

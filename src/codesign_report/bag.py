@@ -12,11 +12,11 @@ import numpy as np
 
 from codesign_policy.metrics import GraspMetrics, grasp_metrics
 from codesign_report.recording import (
-    Domain,
     Floats,
     MotionSeries,
     SoftBody,
     StressSeries,
+    TrialDomain,
     TrialRecording,
     TriangleMesh,
 )
@@ -264,7 +264,7 @@ def _position(message: Any) -> list[float]:
     return _pose(message.pose)[:3]
 
 
-def _label(path: Path, messages: Messages) -> tuple[str, int, Domain]:
+def _label(path: Path, messages: Messages) -> tuple[str, int, TrialDomain]:
     """Gripper, seed and domain; from the file's name and the object without trial states."""
     mesh = messages["/soft_body_mesh"][-1]
     states = [m for m in messages["/trial_state"] if m.gripper]
@@ -277,8 +277,10 @@ def _label(path: Path, messages: Messages) -> tuple[str, int, Domain]:
     return messages["/finger_design"][-1].name or path.stem, -1, _domain(mesh.domain)
 
 
-def _domain(message: Any) -> Domain:
-    return Domain(**{name: float(getattr(message, name)) for name in Domain.__dataclass_fields__})
+def _domain(message: Any) -> TrialDomain:
+    return TrialDomain(
+        **{name: float(getattr(message, name)) for name in TrialDomain.__dataclass_fields__}
+    )
 
 
 def _soft_body(path: Path, message: Any) -> SoftBody:

@@ -1,11 +1,12 @@
 """A recorded trial as plain numpy arrays."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+
+from codesign_policy.domain import TrialDomain
 
 GRAVITY = 9.81
 """[m/s^2]"""
@@ -44,23 +45,6 @@ class SoftBody:
         corner, *others = np.moveaxis(self.rest_positions[self.tetrahedra], 1, 0)
         edges = np.stack([other - corner for other in others], axis=1)
         return float(np.linalg.det(edges).sum() / 6.0)
-
-
-@dataclass(frozen=True)
-class Domain:
-    """Material and placement of one trial; codesign_interfaces/TrialDomain.
-
-    Young's modulus [Pa], Poisson ratio, density [kg/m^3], Coulomb friction, centre of the block's
-    base x, y [m] and yaw [rad] in link_base. NaN: unknown.
-    """
-
-    young_modulus: float = math.nan
-    poisson_ratio: float = math.nan
-    density: float = math.nan
-    friction: float = math.nan
-    x: float = math.nan
-    y: float = math.nan
-    yaw: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -115,7 +99,7 @@ class TrialRecording:
     bag: Path
     gripper: str
     seed: int
-    domain: Domain
+    domain: TrialDomain
     soft_body: SoftBody
     left_finger: TriangleMesh
     right_finger: TriangleMesh
