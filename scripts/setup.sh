@@ -20,8 +20,11 @@ find_python() {
   local candidate
   for candidate in "${PYTHON:-}" python3 python3.12 python3.11; do
     [ -n "$candidate" ] || continue
-    "$candidate" -c 'import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' \
-      >/dev/null 2>&1 && { command -v "$candidate"; return; }
+    # Not the interpreter of a virtual environment that happens to be active, least of all ours,
+    # which may be about to be replaced: the one it was made from.
+    "$candidate" -c 'import sys
+if sys.version_info[:2] not in ((3, 11), (3, 12)): sys.exit(1)
+print(sys._base_executable)' 2>/dev/null && return
   done
   return 1
 }

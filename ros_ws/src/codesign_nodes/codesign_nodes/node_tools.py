@@ -164,6 +164,8 @@ def run(make_node: Callable[[], Node]) -> None:
                 close()
             node.destroy_node()
         rclpy.try_shutdown()
+        if executor is not None:
+            executor.shutdown(timeout_sec=1.0)
         # What is still there when the interpreter ends, some bindings report as leaked.
         node = executor = None
         gc.unfreeze()
