@@ -34,7 +34,7 @@ def demo(
     command += ["--set", f"fem_simulator.tetrahedra={tetrahedra}"]
     command += [] if real_time else ["--lockstep"]
     command += ["--", "run_trials", "--count", str(trials), "--seed", str(seed), "--out", str(part)]
-    code = run_process(command)
+    code = run_process(command, apart=True)
     if code not in (0, 1):
         typer.echo(
             f"codesign demo: the graph ended with exit code {code}: see {part}/logs", err=True

@@ -1,6 +1,7 @@
 """`codesign graph`: the ROS 2 graph as processes."""
 
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -28,9 +29,16 @@ def bringup_command() -> list[str]:
     return [found]
 
 
-def run_process(command: list[str]) -> int:
-    """Runs a command to its end; on Ctrl-C waits until it has stopped what it started."""
-    process = subprocess.Popen(command)
+def run_process(command: list[str], *, apart: bool = False) -> int:
+    """Runs a command to its end; on Ctrl-C waits until it has stopped what it started.
+
+    Args:
+        command: program and arguments.
+        apart: on a DDS domain of its own (1..40), so that a graph that is already up on the
+            usual one neither disturbs nor is disturbed.
+    """
+    domain = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 40)} if apart else {}
+    process = subprocess.Popen(command, env=os.environ | domain)
     while True:
         try:
             return process.wait()
@@ -65,7 +73,7 @@ def bench(
             "--set", f"fem_simulator.tetrahedra={tetrahedra}",
             "--", "run_trials", "--count", str(trials), "--out", folder,
         ]  # fmt: skip
-        code = run_process(command)
+        code = run_process(command, apart=True)
         if code not in (0, 1):
             typer.echo(f"codesign graph bench: the graph ended with exit code {code}", err=True)
             raise typer.Exit(code)

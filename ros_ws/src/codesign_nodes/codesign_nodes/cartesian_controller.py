@@ -193,6 +193,10 @@ class CartesianController(LeanNode):
             due_in = self._started_at + (self._steps + 1) * period - time.monotonic()
             if due_in > 0.0:
                 time.sleep(due_in)
+            elif due_in < -MAX_CATCH_UP * period:
+                # The whole process stood still. What arrived meanwhile waits to be taken in: the
+                # watchdogs must not judge by what was there before.
+                time.sleep(period / 2.0)
             try:
                 with self._lock:
                     self._catch_up()
