@@ -188,8 +188,9 @@ def run_graph(
                 node,
                 defaults.get(node, {}) | settings.get(node, {}),
                 lockstep=lockstep,
-                nice=profile.get("nice", {}).get(node, 0),
-                realtime=node in profile.get("realtime", []),
+                # Simulated time waits for everybody; only the wall clock needs priorities.
+                nice=0 if lockstep else profile.get("nice", {}).get(node, 0),
+                realtime=not lockstep and node in profile.get("realtime", []),
             )
         process = _spawn(_job_command(job)) if job else None
         try:

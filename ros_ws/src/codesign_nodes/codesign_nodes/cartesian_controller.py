@@ -74,7 +74,7 @@ class CartesianController(LeanNode):
         self._wait_limit = declare(
             self,
             "lockstep_timeout",
-            3.0,
+            10.0,
             "wall time that a simulated tick waits for the policy's action [s]",
             low=0.1,
             high=60.0,

@@ -70,7 +70,7 @@ class TrialRunner(LeanNode):
         self._silence = declare(
             self,
             "policy_silence",
-            3.0,
+            5.0,
             "without any word from the policy for this long, or at fault for this long, the trial "
             "fails [s]",
             low=0.5,
