@@ -13,6 +13,8 @@ from codesign_interfaces.msg import ControlAction as ControlActionMsg
 from codesign_interfaces.msg import FingerDesign, GripperState, PolicyStatus
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from codesign_nodes import messages, qos
@@ -22,6 +24,7 @@ from codesign_policy.scripted import GraspPlan
 from codesign_policy.task import POLICY_PERIOD, Observation
 
 PERIOD_NS = round(POLICY_PERIOD * 1e9)
+DESIGN_TIMEOUT = 3.0  # s
 STATE_NAMES = {
     PolicyStatus.IDLE: "idle",
     PolicyStatus.RUNNING: "running",
@@ -63,6 +66,7 @@ class PolicyNode(LeanNode):
         self._not_finite = 0
         self._answered = -1
         self._design: FingerDesign | None = None
+        self._design_came: Future | None = None
         self._latest: dict[str, Any] = {}
         self._received: dict[str, float] = {}
         self._make_interfaces()
@@ -78,7 +82,9 @@ class PolicyNode(LeanNode):
         ):
             self.create_subscription(kind, topic, lambda m, key=key: self._observe(key, m), profile)
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
-        self.create_service(Trigger, "~/start", self._on_start)
+        # In a group of its own: waiting for the fingers must not keep them from coming.
+        waiting = ReentrantCallbackGroup()
+        self.create_service(Trigger, "~/start", self._on_start, callback_group=waiting)
         self.create_service(Trigger, "~/stop", self._on_stop)
         if not self._lockstep:
             self._timer = self.create_timer(POLICY_PERIOD, self._on_timer, clock=steady_clock())
@@ -93,6 +99,7 @@ class PolicyNode(LeanNode):
 
     def _on_design(self, message: FingerDesign) -> None:
         self._design = message
+        self._stop_waiting()
 
     def _on_timer(self) -> None:
         if self._policy is None:
@@ -175,7 +182,8 @@ class PolicyNode(LeanNode):
 
     # --- services
 
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    async def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        await self._design_or_timeout()
         if self._design is None:
             response.success = False
             response.message = "no /finger_design yet: start fem_simulator or finger_design"
@@ -193,6 +201,19 @@ class PolicyNode(LeanNode):
         if self._lockstep:
             self._answer_if_complete()
         return response
+
+    async def _design_or_timeout(self) -> None:
+        """Just after bring-up the fingers may still be on their way."""
+        if self._design is not None:
+            return
+        self._design_came = Future()
+        timer = self.create_timer(DESIGN_TIMEOUT, self._stop_waiting, clock=steady_clock())
+        await self._design_came
+        self.destroy_timer(timer)
+
+    def _stop_waiting(self) -> None:
+        if self._design_came is not None and not self._design_came.done():
+            self._design_came.set_result(None)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._policy = None

@@ -245,9 +245,10 @@ class TrialRunner(LeanNode):
         await self._samples_until_end()
 
     async def _samples_until_end(self) -> None:
-        """The last stress may still be on its way when the policy says that it is done."""
+        """The last samples may still be on their way when the policy says that it is done."""
         for _ in range(20):
-            if max(self._log.stress, default=0) >= (self._log.end or 0):
+            newest = (max(self._log.stress, default=0), max(self._log.height, default=0))
+            if min(newest) >= (self._log.end or 0):
                 return
             await self._sleep(0.05)
 
