@@ -53,4 +53,5 @@ ACTION_OFFERED, ACTION_REQUESTED = command(0.10, depth=5), command(0.15, depth=5
 # Set-points carry the moment that they are meant for; a late reader still wants those in between.
 JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05, depth=10), command(0.10, depth=10)
 GRIPPER_COMMAND_OFFERED, GRIPPER_COMMAND_REQUESTED = command(0.10), command(0.20)
-POSE_OFFERED, POSE_REQUESTED = command(0.10), command(0.20)
+# The writer keeps a few, for the recorder and the judge who want them all.
+POSE_OFFERED, POSE_REQUESTED = command(0.10, depth=10), command(0.20)

@@ -238,11 +238,12 @@ class TrialRunner(LeanNode):
             if self._simulated and self._lockstep:
                 await self._call(self._resume, Trigger.Request())
             why = await self._ended
+            if not why:
+                await self._samples_until_end()
         finally:
             self._ended = None
         if why:
             raise TrialError(why)
-        await self._samples_until_end()
 
     async def _samples_until_end(self) -> None:
         """The last samples may still be on their way when the policy says that it is done."""
