@@ -126,11 +126,11 @@ class TrialRunner(LeanNode):
             self._end("")
 
     def _on_stress(self, message: Stress) -> None:
-        if self._ended is not None:
+        if self._goal is not None:
             self._log.stress[nanoseconds(message.header.stamp)] = message
 
     def _on_pose(self, message: PoseStamped) -> None:
-        if self._ended is not None:
+        if self._goal is not None:
             self._log.height[nanoseconds(message.header.stamp)] = message.pose.position.z
 
     def _watch(self) -> None:
@@ -167,6 +167,8 @@ class TrialRunner(LeanNode):
         return GoalResponse.REJECT if self._goal is not None else GoalResponse.ACCEPT
 
     async def _execute(self, goal: Any) -> RunTrial.Result:
+        # Samples count from now on: the first one of a trial may be there before the policy starts.
+        self._log = TrialLog()
         self._goal = goal
         request = goal.request
         result = RunTrial.Result(bag=request.bag)
@@ -229,7 +231,6 @@ class TrialRunner(LeanNode):
             raise TrialError(f"start posture not reached: {result.message}")
 
     async def _let_policy_work(self, request: RunTrial.Goal) -> None:
-        self._log = TrialLog()
         self._heard_at = self._good_at = time.monotonic()
         self._ended = Future()
         self._set_state(TrialState.RUNNING, "", request)
