@@ -180,7 +180,8 @@ def test_at_real_time_the_graph_keeps_its_rates(tmp_path: Path) -> None:
     """Medians: single delays are the machine's business (`codesign graph bench` tells them)."""
     (trial,) = run_trials(tmp_path, verdict_counts=False)
     bag = Path(trial["bag"])
-    assert asdict(trial_metrics(bag)) == trial["metrics"]
+    # One of the two may miss a sample at real time; in lockstep they are equal to the last bit.
+    assert asdict(trial_metrics(bag)) == pytest.approx(trial["metrics"], rel=1e-6, nan_ok=True)
     timing = graph_timing(bag)
     found = messages(bag, {"/action", "/cartesian_controller/status"})
     status = found["/cartesian_controller/status"][-1]
