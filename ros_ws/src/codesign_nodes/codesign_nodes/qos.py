@@ -9,6 +9,10 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
+# What a writer keeps for readers that are late with their acknowledgement: with 10 the recorder
+# lost messages when simulated time ran fast.
+KEPT = 200
+
 
 def command(deadline: float, depth: int = 1) -> QoSProfile:
     """Actions, commands and poses: they must arrive, and of poses and commands only the newest.
@@ -31,7 +35,7 @@ def command(deadline: float, depth: int = 1) -> QoSProfile:
 # What the publishers offer is kept a little, so that a recorder which asks for reliable delivery
 # loses nothing; control loops ask for STATE.
 STATE_OFFERED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE
+    history=HistoryPolicy.KEEP_LAST, depth=KEPT, reliability=ReliabilityPolicy.RELIABLE
 )
 STATE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT
@@ -49,9 +53,9 @@ EVERY = QoSProfile(
 
 # Longest time between two messages [s]: offered by the publisher, asked for by the subscriber.
 # Actions are increments: one that is overwritten in the queue is missing from the pose for good.
-ACTION_OFFERED, ACTION_REQUESTED = command(0.10, depth=5), command(0.15, depth=5)
+ACTION_OFFERED, ACTION_REQUESTED = command(0.10, KEPT), command(0.15, depth=5)
 # Set-points carry the moment that they are meant for; a late reader still wants those in between.
-JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05, depth=10), command(0.10, depth=10)
-GRIPPER_COMMAND_OFFERED, GRIPPER_COMMAND_REQUESTED = command(0.10), command(0.20)
+JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05, KEPT), command(0.10, depth=10)
+GRIPPER_COMMAND_OFFERED, GRIPPER_COMMAND_REQUESTED = command(0.10, KEPT), command(0.20)
 # The writer keeps a few, for the recorder and the judge who want them all.
-POSE_OFFERED, POSE_REQUESTED = command(0.10, depth=10), command(0.20)
+POSE_OFFERED, POSE_REQUESTED = command(0.10, KEPT), command(0.20)
