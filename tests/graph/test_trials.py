@@ -69,7 +69,7 @@ def test_metrics_of_the_bag_are_those_of_the_live_run(
     lockstep: tuple[list[dict[str, Any]], Path],
 ) -> None:
     for trial in lockstep[0]:
-        # Seen to differ in the twelfth digit of the lift (cause open): one side lacks a sample at rest.
+        # The lift was seen to differ in its twelfth digit; the cause is open.
         assert asdict(trial_metrics(trial["bag"])) == pytest.approx(trial["metrics"], rel=1e-9)
 
 
