@@ -62,6 +62,7 @@ template <class F> CODESIGN_INLINE Mat3<F> rotation(const Mat3<F>& A) {
     Mat3<F> R = A;
     F det = A.a[0] * 0.0f;
     const F safe_volume = det + NEARLY_FLAT;
+    F going = safe_volume;  // positive in lanes that need another step, whatever others need
     for (int step = 0; step < NEWTON_STEPS; ++step) {
         const Vec3<F> p = row(R, 0), q = row(R, 1), r = row(R, 2);
         const Mat3<F> cofactor = from_rows(cross(q, r), cross(r, p), cross(p, q));
@@ -74,10 +75,13 @@ template <class F> CODESIGN_INLINE Mat3<F> rotation(const Mat3<F>& A) {
             const F next = 0.5f * R.a[k] + half * cofactor.a[k];
             const F move = next - R.a[k];
             step2 = step2 + move * move;
-            R.a[k] = next;
+            R.a[k] = step < 2 ? next : (going > 0.0f ? next : R.a[k]);
         }
-        if (step > 0 && !any(step2 > ROTATION_STEP2))
-            break;
+        if (step > 0) {
+            going = min(going, step2 - ROTATION_STEP2);
+            if (!any(going > 0.0f))
+                break;
+        }
     }
     const auto flat = det < NEARLY_FLAT;
     if (any(flat)) {
