@@ -15,6 +15,17 @@ os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 50)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Any:
+    """Shows what the nodes logged when a test with a graph fails."""
+    report = yield
+    folder = getattr(item, "funcargs", {}).get("tmp_path")
+    if report.failed and folder is not None:
+        for log in sorted(folder.glob("logs/*.log")):
+            report.sections.append((f"log of {log.stem}", log.read_text()[-3000:]))
+    return report
+
+
 class Probe:
     """A node in the test's process: collects messages, calls services, publishes."""
 

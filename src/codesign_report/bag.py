@@ -165,7 +165,7 @@ def _nanoseconds(stamp: Any) -> int:
 
 
 def _window(messages: Messages) -> tuple[int, int]:
-    """Stamps [ns] between which the policy ran; the whole stress series if nobody told."""
+    """Stamps [ns] after and up to which the policy ran; all of the stress series if nobody told."""
     stress = [_stamp(m) for m in messages["/stress"]]
     states = messages["/trial_state"]
     if states and states[-1].state == FINISHED:
@@ -193,7 +193,8 @@ def _series(
     """Times since start and values of the messages within the window, sorted, no stamp twice."""
     stamps = np.array([_stamp(m) for m in messages[topic]])
     stamps, order = np.unique(stamps, return_index=True)
-    inside = (stamps >= start) & (stamps <= stop)
+    # Not the sample at the start itself: published before, it may be missing in the recording.
+    inside = (stamps > start) & (stamps <= stop)
     if inside.sum() < 2:
         raise BagError(
             f"{path}: {topic} has {inside.sum()} samples while the policy ran "

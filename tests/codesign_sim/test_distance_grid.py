@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 from codesign_sim import SurfaceMesh
-from codesign_sim.distance import BAND, SPACING, bake
+from codesign_sim.distance import SPACING, bake
+from codesign_sim.surface_queries import BAND
 
 
 def test_sphere():

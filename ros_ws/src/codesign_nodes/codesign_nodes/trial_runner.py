@@ -167,7 +167,6 @@ class TrialRunner(LeanNode):
         return GoalResponse.REJECT if self._goal is not None else GoalResponse.ACCEPT
 
     async def _execute(self, goal: Any) -> RunTrial.Result:
-        # Samples count from now on: the first one of a trial may be there before the policy starts.
         self._log = TrialLog()
         self._goal = goal
         request = goal.request
@@ -307,12 +306,14 @@ class TrialRunner(LeanNode):
         start, end = self._log.start, self._log.end
         if start is None or end is None:
             raise TrialError("the policy never said when it started or ended")
-        stamps = sorted(s for s in self._log.stress if start <= s <= end)
+        # As in codesign_report/bag.py: what was there at the start itself was published before the
+        # recording began.
+        stamps = sorted(s for s in self._log.stress if start < s <= end)
         if len(stamps) < 2:
             # A real arm has no stress to judge by.
             return TrialMetrics(top10_stress=math.nan, median_stress=math.nan)
         samples = [self._log.stress[s] for s in stamps]
-        pose_stamps = sorted(s for s in self._log.height if start <= s <= end)
+        pose_stamps = sorted(s for s in self._log.height if start < s <= end)
         times = (np.array(stamps) - start) * 1e-9
         metrics = grasp_metrics(
             times,
