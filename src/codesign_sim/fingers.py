@@ -71,6 +71,15 @@ class FingerTargets:
     def __len__(self) -> int:
         return len(self.width)
 
+    def replaced(self, environments: np.ndarray, targets: FingerTargets) -> FingerTargets:
+        """These targets with those of K environments taken from `targets`."""
+        position, quaternion = self.position.copy(), self.quaternion.copy()
+        width = self.width.copy()
+        position[environments] = targets.position
+        quaternion[environments] = targets.quaternion
+        width[environments] = targets.width
+        return FingerTargets(position, quaternion, width)
+
 
 def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) in x, y, z, w order."""

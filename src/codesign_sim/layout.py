@@ -98,11 +98,31 @@ class Layout:
         values = np.moveaxis(values, -1, 1).reshape(-1, *shape)
         return values[: self.environments].astype(np.float64)
 
+    def overwrite(self, array: wp.array, environments: np.ndarray, values: np.ndarray) -> None:
+        """Writes (K, ...) values of K environments; every other one keeps its bits.
+
+        Spare lanes follow the last environment.
+        """
+        host = array.numpy()
+        lane = np.arange(self.groups * self.lanes)
+        source = np.minimum(lane, self.environments - 1)  # the environment that a lane shows
+        row = np.full(self.environments, -1)
+        row[environments] = np.arange(len(environments))
+        lane = lane[row[source] >= 0]
+        flat = values.reshape(len(environments), -1)[row[source[lane]]]
+        by_lane = host.reshape(self.groups, -1, self.lanes)
+        by_lane[lane // self.lanes, :, lane % self.lanes] = flat
+        array.assign(host)
+
+    def padded(self, values: np.ndarray) -> np.ndarray:
+        """Node vectors (K, N, 3) as padded rows (K, rows, 4)."""
+        rows = np.zeros((len(values), self.rows, _ROW))
+        rows[:, : values.shape[1], :3] = values
+        return rows
+
     def node_rows(self, values: np.ndarray) -> np.ndarray:
         """Node vectors (E, N, 3) as padded rows, flat."""
-        rows = np.zeros((self.environments, self.rows, _ROW))
-        rows[:, : values.shape[1], :3] = values
-        return self.grouped(rows)
+        return self.grouped(self.padded(values))
 
     def node_vectors(self, array: wp.array) -> np.ndarray:
         """Padded rows back to node vectors (E, N, 3)."""

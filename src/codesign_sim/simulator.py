@@ -15,6 +15,7 @@ from codesign_sim.block import Block
 from codesign_sim.checks import (
     SimulationError,
     require_finite,
+    require_integers,
     require_not_negative,
     require_per_environment,
     require_positive,
@@ -120,6 +121,7 @@ class Simulator:
 
         self._layout = Layout(block, self.environments)
         self._origin = np.zeros((self.environments, 3))
+        self._mean_forces = np.zeros((self.environments, 3, 3))
         scene: Any = kernels.Scene()
         scene.settings = zeros(len(kernels.SETTINGS))
         self._scene = scene
@@ -186,38 +188,92 @@ class Simulator:
         Raises:
             ValueError: wrong shapes or values; a given time step above the stability limit.
         """
-        count = self.environments
-        materials = [materials] * count if isinstance(materials, Material) else list(materials)
-        if len(materials) != count:
-            raise ValueError(f"got {len(materials)} materials for {count} environments")
-        place = require_per_environment("block position", position, count, (2,), "m")
-        turn = require_per_environment("yaw", yaw, count, (), "rad")
+        everyone = np.arange(self.environments)
+        materials = _per_environment(materials, self.environments)
         if fingers is not None:
             self._check_count(fingers)
-        self._choose_time_step(materials)
-        self._materials = materials
-        values = [[*m.lame, m.density, m.friction] for m in materials]
-        self._scene.materials.assign(self._layout.grouped(np.array(values)))
-
-        base = 0.0 if self.table_height is None else self.table_height
-        self._origin = np.column_stack([place, np.full(count, base)])
-        height = self.block.size[2]
-        rest = self.block.nodes + np.array([0, 0, height / 2])
-        local = np.repeat(rest[None], count, axis=0)
         settle = settle and self.table_height is not None
+        shapes = np.repeat(self._undeformed[None], self.environments, axis=0)
         if settle:
-            local[:, :, 2] += self._sag(materials, rest[:, 2])
-        cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-        x, y = local[..., 0].copy(), local[..., 1].copy()
-        local[..., 0], local[..., 1] = cos * x - sin * y, sin * x + cos * y
+            shapes[:, :, 2] += self._sag(materials, self._undeformed[:, 2])
+        self._choose_time_step(materials)
         self._broken = ""
-        self._scene.reports.zero_()
-        self._write_state(local, np.zeros_like(local))
+        self._place(everyone, materials, position, yaw, shapes)
         self._fingers_at = None
         if settle:
             self.settle()
         self._fingers_at = fingers
         self.time = 0.0
+
+    def reset_some(
+        self,
+        environments: Sequence[int] | np.ndarray,
+        materials: Material | Sequence[Material],
+        shapes: np.ndarray,
+        position: Sequence[float] | np.ndarray = (0.0, 0.0),
+        yaw: float | np.ndarray = 0.0,
+        fingers: FingerTargets | None = None,
+    ) -> None:
+        """Resets K environments to given shapes at rest; the others keep every bit of their state.
+
+        Time goes on. Give the simulator a time step: its own choice gets shorter, for everyone,
+        when a stiffer material comes in.
+
+        Args:
+            environments: (K,) different indices.
+            materials: one for all K, or one each.
+            shapes: (N, 3) or (K, N, 3) node positions, metres, with the centre of the base at the
+                origin and yaw 0, for example from `rest_shape`.
+            position, yaw: as for `reset`, per environment of the K.
+            fingers: (K) where the fingers are; None only while all fingers are away.
+        Raises:
+            ValueError: wrong indices, shapes or values; a given time step above the limit.
+            SimulationError: not reset yet, or the state stopped being finite.
+        """
+        self._require_reset()
+        chosen = _indices(environments, self.environments)
+        materials = _per_environment(materials, len(chosen))
+        if (fingers is None) != (self._fingers_at is None):
+            raise ValueError("fingers are away in some environments only; give them for all")
+        if fingers is not None and len(fingers) != len(chosen):
+            raise ValueError(f"got {len(fingers)} finger targets for {len(chosen)} environments")
+        shapes = require_per_environment("shapes", shapes, len(chosen), self.block.nodes.shape, "m")
+        every = list(self._materials)
+        for index, material in zip(chosen, materials, strict=True):
+            every[index] = material
+        self._choose_time_step(every)
+        self._place(chosen, materials, position, yaw, shapes)
+        if fingers is not None and self._fingers_at is not None:
+            self._fingers_at = self._fingers_at.replaced(chosen, fingers)
+
+    @property
+    def _undeformed(self) -> np.ndarray:
+        """Node positions (N, 3) of the block on the table as it was cut."""
+        return self.block.nodes + np.array([0, 0, self.block.size[2] / 2])
+
+    def _place(
+        self,
+        chosen: np.ndarray,
+        materials: list[Material],
+        position: Sequence[float] | np.ndarray,
+        yaw: float | np.ndarray,
+        shapes: np.ndarray,
+    ) -> None:
+        """Materials and shapes (K, N, 3) of K environments, resting where they are told to."""
+        place = require_per_environment("block position", position, len(chosen), (2,), "m")
+        turn = require_per_environment("yaw", yaw, len(chosen), (), "rad")
+        self._materials = self._materials or list(materials)
+        for index, material in zip(chosen, materials, strict=True):
+            self._materials[index] = material
+        values = [[*m.lame, m.density, m.friction] for m in materials]
+        self._layout.overwrite(self._scene.materials, chosen, np.array(values))
+        self._origin[chosen, :2] = place
+        self._origin[chosen, 2] = 0.0 if self.table_height is None else self.table_height
+        cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        x, y, z = np.moveaxis(shapes, -1, 0)
+        local = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+        self._layout.overwrite(self._scene.reports, chosen, np.zeros((len(chosen), 12)))
+        self._write_state(chosen, local, np.zeros_like(local))
 
     def _sag(self, materials: list[Material], z: np.ndarray) -> np.ndarray:
         """Vertical displacement (E, N) of a column under its own weight, on a penalty table."""
@@ -264,7 +320,8 @@ class Simulator:
         shape = (self.environments, len(self.block.nodes), 3)
         positions = require_finite("positions", positions, shape, "m")
         velocities = require_finite("velocities", velocities, shape, "m/s")
-        self._write_state(positions - self._origin[:, None], velocities)
+        everyone = np.arange(self.environments)
+        self._write_state(everyone, positions - self._origin[:, None], velocities)
 
     def settle(self, duration: float = SETTLE_TIME, damping: float = SETTLE_DAMPING) -> None:
         """Brings the block to rest where it is, damping all its motion; time does not count.
@@ -469,13 +526,16 @@ class Simulator:
             self._launches[kernel.key] = kernels.record(kernel, self._scene)
         self._launches[kernel.key].launch()
 
-    def _write_state(self, local: np.ndarray, velocities: np.ndarray) -> None:
-        self._scene.positions.assign(self._layout.node_rows(local))
-        self._scene.velocities.assign(self._layout.node_rows(velocities))
+    def _write_state(self, chosen: np.ndarray, local: np.ndarray, velocities: np.ndarray) -> None:
+        """State (K, N, 3) of the chosen environments, in their own frames; clears anchors."""
+        scene, layout = self._scene, self._layout
+        layout.overwrite(scene.positions, chosen, layout.padded(local))
+        layout.overwrite(scene.velocities, chosen, layout.padded(velocities))
         weights = self.block.node_volumes / self.block.volume
-        self._scene.centres.assign(self._layout.grouped(np.einsum("n,enk->ek", weights, local)))
-        self._scene.anchors.zero_()
-        self._mean_forces = np.zeros((self.environments, 3, 3))
+        layout.overwrite(scene.centres, chosen, np.einsum("n,enk->ek", weights, local))
+        anchors = scene.anchors.size // (layout.groups * layout.lanes)
+        layout.overwrite(scene.anchors, chosen, np.zeros((len(chosen), anchors)))
+        self._mean_forces[chosen] = 0.0
 
     def _write_poses(self, poses: np.ndarray) -> None:
         poses[..., 9:] -= self._origin[None, :, None]
@@ -497,6 +557,22 @@ class Simulator:
             raise SimulationError(self._broken)
         if not self._materials:
             raise SimulationError("the simulator was not reset yet; call reset() first")
+
+
+def _per_environment(materials: Material | Sequence[Material], count: int) -> list[Material]:
+    materials = [materials] * count if isinstance(materials, Material) else list(materials)
+    if len(materials) != count:
+        raise ValueError(f"got {len(materials)} materials for {count} environments")
+    return materials
+
+
+def _indices(environments: Sequence[int] | np.ndarray, count: int) -> np.ndarray:
+    index = require_integers("environments", environments, (-1,), 0)
+    if len(np.unique(index)) != len(index) or (index >= count).any():
+        raise ValueError(
+            f"environments {index.tolist()}: use different indices from 0 to {count - 1}"
+        )
+    return index
 
 
 def _split(fingers: Fingers | Sequence[Fingers] | None) -> tuple:
