@@ -1,33 +1,49 @@
-"""Signed distance grids of finger surfaces, baked once per shape."""
+"""Signed distance grids of finger surfaces, baked once per shape and kept on disk."""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import warp as wp
 from scipy import ndimage
 
-import codesign_sim.kernels  # noqa: F401  (makes Warp quiet before its first use)
+from codesign_sim import disk_cache
 from codesign_sim.mesh import SurfaceMesh
+from codesign_sim.surface_queries import BAND, SurfaceQueries, spread_samples
 
 SPACING = 1e-3  # metres; edges sharper than this are rounded to about it
+# Walls thinner than this many cells are weak or invisible: between two cells' corners 1 mm apart
+# a wall of 1.5 mm is still seen 0.25 mm deep, one below 1 mm perhaps not at all.
+THINNEST = 1.5
+_VERSION = 1  # of what is baked; raise it whenever equal meshes would give another result
 _MARGIN_CELLS = 2
-# Metres; distances are exact in cells within it, that is to 1.3 mm deep, which no grasp reaches.
-BAND = wp.constant(3e-3)
 _LARGEST = 20_000_000  # cells; 80 MB
-
-wp.set_module_options({"enable_backward": False})
+_SAMPLE_SPACING = 0.7e-3  # metres, between the rays that look for thin walls
+_OPPOSITE = -0.8  # cosine between the normals of a wall's two faces; edges up to 37 degrees
+_ARRAYS = ("origin", "values", "thin_area", "thinnest", "thin_place")
 
 
 @dataclass(frozen=True, eq=False)
 class DistanceGrid:
-    """Distances (nz, ny, nx) in metres, negative inside; x fastest."""
+    """Distances (nz, ny, nx) in metres, negative inside; x fastest.
+
+    Attributes:
+        origin: (3,) metres, of the first value.
+        spacing: metres.
+        values: metres; exact within 3 mm of the surface, beyond that only growing.
+        thin_area: surface in m^2 of walls thinner than `THINNEST` cells, both faces counted.
+        thinnest: thickness in metres of the thinnest of them; infinite where there are none.
+        thin_place: (3,) metres, where that is.
+    """
 
     origin: np.ndarray
     spacing: float
     values: np.ndarray
+    thin_area: float = 0.0
+    thinnest: float = np.inf
+    thin_place: np.ndarray | None = None
 
     def sample(self, points: np.ndarray) -> np.ndarray:
         """Trilinear distance (M,) at points (M, 3); +inf outside the grid."""
@@ -45,43 +61,15 @@ class DistanceGrid:
         return np.where(inside, result, np.inf)
 
 
-@wp.kernel
-def _nearest(
-    mesh: wp.uint64,
-    points: wp.array[wp.vec3],
-    distance: wp.array[wp.float32],
-    side: wp.array[wp.float32],
-):
-    """Distance up to the band, and the side (-1 inside, 1 outside) where the nearest point tells.
-
-    It does if it lies within a face; the normals at an edge or a corner may point either way.
-    """
-    i = wp.tid()
-    hit = wp.mesh_query_point_no_sign(mesh, points[i], BAND)
-    distance[i] = BAND  # type: ignore
-    side[i] = 0.0  # type: ignore
-    if hit.result:  # type: ignore
-        way = points[i] - wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)  # type: ignore
-        distance[i] = wp.length(way)  # type: ignore
-        if wp.min(wp.min(hit.u, hit.v), 1.0 - hit.u - hit.v) > 1.0e-3:  # type: ignore
-            side[i] = wp.sign(wp.dot(way, wp.mesh_eval_face_normal(mesh, hit.face)))  # type: ignore
-
-
-@wp.kernel
-def _side(mesh: wp.uint64, points: wp.array[wp.vec3], side: wp.array[wp.float32]):
-    """The side by winding number, right everywhere but ten times as slow."""
-    i = wp.tid()
-    hit = wp.mesh_query_point_sign_winding_number(mesh, points[i], 1.0e6)
-    side[i] = hit.sign  # type: ignore
-
-
 def bake(mesh: SurfaceMesh, spacing: float = SPACING) -> DistanceGrid:
-    """The signed distance grid of a mesh; equal meshes share one grid in memory.
+    """The signed distance grid of a mesh.
+
+    Equal meshes share one grid in memory, and one file in the user's cache (`disk_cache`).
 
     Raises:
         ValueError: a mesh so large that its grid would not fit in memory.
     """
-    return _bake_cached(_ByContent(mesh), spacing)
+    return _bake_cached(_ByContent(mesh), float(spacing))
 
 
 class _ByContent:
@@ -99,7 +87,20 @@ class _ByContent:
 
 @lru_cache(maxsize=64)
 def _bake_cached(key: _ByContent, spacing: float) -> DistanceGrid:
-    mesh = key.mesh
+    settings = (_VERSION, spacing, _MARGIN_CELLS, float(BAND), THINNEST)
+    name = hashlib.sha256(f"{key.mesh.content_hash} {settings}".encode()).hexdigest()
+    kept = disk_cache.load(name, _ARRAYS)
+    if kept is not None:
+        area, thinnest = float(kept["thin_area"]), float(kept["thinnest"])
+        return DistanceGrid(
+            kept["origin"], spacing, kept["values"], area, thinnest, kept["thin_place"]
+        )
+    grid = _bake(key.mesh, spacing)
+    disk_cache.store(name, {array: np.asarray(getattr(grid, array)) for array in _ARRAYS})
+    return grid
+
+
+def _bake(mesh: SurfaceMesh, spacing: float) -> DistanceGrid:
     low = mesh.vertices.min(axis=0) - _MARGIN_CELLS * spacing
     shape = np.ceil((mesh.vertices.max(axis=0) - low) / spacing).astype(int) + 1 + _MARGIN_CELLS
     if shape.prod() > _LARGEST:
@@ -110,28 +111,19 @@ def _bake_cached(key: _ByContent, spacing: float) -> DistanceGrid:
     axes = [low[k] + spacing * np.arange(shape[k]) for k in range(3)]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
-    surface = wp.Mesh(
-        points=wp.array(mesh.vertices, dtype=wp.vec3, device="cpu"),
-        indices=wp.array(mesh.faces.ravel(), dtype=wp.int32, device="cpu"),
-        support_winding_number=True,
-    )
-    distance, side = _query(_nearest, surface, points, results=2)
+    surface = SurfaceQueries(mesh, sides=True)
+    distance, side = surface.nearest(points)
     signed = _everywhere(side, distance.reshape(shape[::-1]), spacing, surface, points)
-    return DistanceGrid(low, spacing, signed.astype(np.float32))
-
-
-def _query(
-    kernel: wp.Kernel, surface: wp.Mesh, points: np.ndarray, results: int = 1
-) -> list[np.ndarray]:
-    """What a kernel finds at each point."""
-    found = [wp.zeros(len(points), dtype=wp.float32, device="cpu") for _ in range(results)]
-    where: wp.array = wp.array(points, dtype=wp.vec3, device="cpu")
-    wp.launch(kernel, dim=len(points), inputs=[surface.id, where, *found], device="cpu")
-    return [array.numpy() for array in found]
+    thin = _thin_walls(mesh, surface, THINNEST * spacing)
+    return DistanceGrid(low, spacing, signed.astype(np.float32), *thin)
 
 
 def _everywhere(
-    side: np.ndarray, distance: np.ndarray, spacing: float, surface: wp.Mesh, points: np.ndarray
+    side: np.ndarray,
+    distance: np.ndarray,
+    spacing: float,
+    surface: SurfaceQueries,
+    points: np.ndarray,
 ) -> np.ndarray:
     """Signed distances, from the sides that are known.
 
@@ -142,10 +134,10 @@ def _everywhere(
     near = region.ravel() == 0
     regions, first = np.unique(region, return_index=True)
     side_of = np.zeros(regions.max() + 1)
-    side_of[regions] = _query(_side, surface, points[first])[0]
+    side_of[regions] = surface.sides(points[first])
     unsure = near & (side == 0)
     side = np.where(near, side, side_of[region].ravel())
-    side[unsure] = _query(_side, surface, points[unsure])[0]
+    side[unsure] = surface.sides(points[unsure])
     return side.reshape(distance.shape) * _beyond_band(distance, spacing)
 
 
@@ -156,3 +148,24 @@ def _beyond_band(distance: np.ndarray, spacing: float) -> np.ndarray:
         return distance
     way, nearest = ndimage.distance_transform_edt(beyond, sampling=spacing, return_indices=True)
     return np.where(beyond, distance[tuple(nearest)] + way, distance)
+
+
+def _thin_walls(
+    mesh: SurfaceMesh, surface: SurfaceQueries, least: float
+) -> tuple[float, float, np.ndarray]:
+    """Area of walls thinner than `least`, their least thickness, and where that is.
+
+    Thickness is measured along rays from the surface straight inwards, to a face that looks the
+    other way: the sharp edge of a block is not a wall, that of a knife is.
+    """
+    points, face = spread_samples(mesh, _SAMPLE_SPACING)
+    normals = mesh.normals_by_area / np.linalg.norm(mesh.normals_by_area, axis=1, keepdims=True)
+    skin = 1e-6  # metres, to leave the face itself behind
+    inwards = -normals[face]
+    thickness, behind = surface.first_hits(points + skin * inwards, inwards, least)
+    facing = np.einsum("ij,ij->i", normals[face], normals[behind])
+    thin = (behind >= 0) & (facing < _OPPOSITE)
+    if not thin.any():
+        return 0.0, np.inf, np.zeros(3)
+    at = np.flatnonzero(thin)[np.argmin(thickness[thin])]
+    return float(thin.mean() * mesh.area), float(thickness[at] + skin), points[at]

@@ -36,18 +36,12 @@ class SurfaceMesh:
             raise ValueError(
                 f"mesh face names vertex {faces.max()}, but there are only {len(vertices)}"
             )
-        surface = trimesh.Trimesh(vertices, faces, process=False)
-        if not surface.is_watertight:
-            _, uses = np.unique(surface.edges_sorted, axis=0, return_counts=True)
+        _require_closed(faces, len(vertices))
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
+        if volume <= 0:
             raise ValueError(
-                f"mesh is not watertight: {(uses != 2).sum()} edges do not border exactly 2 faces; "
-                "merge equal vertices and close the holes"
-            )
-        if not surface.is_winding_consistent:
-            raise ValueError("mesh faces are wound inconsistently; fix their winding")
-        if surface.volume <= 0:
-            raise ValueError(
-                f"mesh volume is {surface.volume:g} m^3, it must be above 0; "
+                f"mesh volume is {volume:g} m^3, it must be above 0; "
                 "reverse the faces so that they wind outwards"
             )
         object.__setattr__(self, "vertices", vertices)
@@ -66,7 +60,33 @@ class SurfaceMesh:
         digest.update(self.faces.astype(np.int64).tobytes())
         return digest.hexdigest()
 
+    @cached_property
+    def normals_by_area(self) -> np.ndarray:
+        """Outward normals (F, 3) whose length is the face's area, m^2."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.cross(b - a, c - a) / 2
+
+    @property
+    def area(self) -> float:
+        """Of the whole surface, m^2."""
+        return float(np.linalg.norm(self.normals_by_area, axis=1).sum())
+
     @property
     def radius(self) -> float:
         """Largest distance of a vertex from the frame's origin, metres."""
         return float(np.linalg.norm(self.vertices, axis=1).max())
+
+
+def _require_closed(faces: np.ndarray, vertices: int) -> None:
+    """Every edge borders exactly two faces, which run along it in opposite ways."""
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    either = np.sort(np.minimum(start, end) * vertices + np.maximum(start, end))
+    paired = len(either) % 2 == 0 and (either[::2] == either[1::2]).all()
+    if not paired or (either[2::2] == either[1:-1:2]).any():
+        _, uses = np.unique(either, return_counts=True)
+        raise ValueError(
+            f"mesh is not watertight: {(uses != 2).sum()} edges do not border exactly 2 faces; "
+            "merge equal vertices and close the holes"
+        )
+    if (np.diff(np.sort(start * vertices + end)) == 0).any():
+        raise ValueError("mesh faces are wound inconsistently; fix their winding")

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import warp as wp
 
-from codesign_sim import distance, kernels
+from codesign_sim import kernels, surface_queries
 
-_PARTS = {"simulation kernels": kernels, "distance grids": distance}
+_PARTS = {"simulation kernels": kernels, "distance grids": surface_queries}
 
 
 def warm_up(progress: Callable[[str, int, int], None] | None = None) -> None:

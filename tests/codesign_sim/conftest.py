@@ -29,3 +29,11 @@ def grasped(pads) -> Simulator:
     simulator.advance(0.2, around(0.026))
     simulator.advance(0.2, around(0.026, height=0.036))
     return simulator
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache_folder(tmp_path_factory):
+    """Tests start from an empty cache and leave the user's alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CODESIGN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        yield
