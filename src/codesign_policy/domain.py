@@ -37,14 +37,19 @@ class TrialDomain:
     yaw: float = math.nan
 
 
-def draw_domain(seed: int, request: TrialDomain | None = None) -> TrialDomain:
+def draw_domain(
+    seed: int,
+    request: TrialDomain | None = None,
+    friction: tuple[float, float] = (FRICTION, FRICTION),
+) -> TrialDomain:
     """Fills the NaNs of a request from a seed.
 
-    What is requested does not change what the seed draws for the rest.
+    Neither what is requested nor the range of friction changes what the seed draws for the rest.
 
     Args:
         seed: not negative.
         request: values to keep; None draws everything.
+        friction: range that it is drawn from.
 
     Raises:
         ValueError: negative seed, or a requested value outside its physical range.
@@ -56,12 +61,46 @@ def draw_domain(seed: int, request: TrialDomain | None = None) -> TrialDomain:
         young_modulus=random.uniform(*YOUNG_MODULUS_RANGE),
         poisson_ratio=random.uniform(*POISSON_RATIO_RANGE),
         density=DENSITY,
-        friction=FRICTION,
         x=POSITION[0] + random.uniform(-POSITION_SPREAD, POSITION_SPREAD),
         y=POSITION[1] + random.uniform(-POSITION_SPREAD, POSITION_SPREAD),
+        friction=random.uniform(*friction),
         yaw=0.0,
     )
+    return _filled(request or TrialDomain(), drawn)
+
+
+def domain_corners(
+    request: TrialDomain | None = None, friction: tuple[float, float] = (FRICTION, FRICTION)
+) -> tuple[TrialDomain, TrialDomain]:
+    """The lowest and the highest value of everything that `draw_domain` can draw.
+
+    Raises:
+        ValueError: a requested value or a friction outside its physical range.
+    """
     request = request or TrialDomain()
+
+    def corner(k: int) -> TrialDomain:
+        spread = (-POSITION_SPREAD, POSITION_SPREAD)[k]
+        return _filled(
+            request,
+            TrialDomain(
+                young_modulus=YOUNG_MODULUS_RANGE[k],
+                poisson_ratio=POISSON_RATIO_RANGE[k],
+                density=DENSITY,
+                friction=friction[k],
+                x=POSITION[0] + spread,
+                y=POSITION[1] + spread,
+                yaw=0.0,
+            ),
+        )
+
+    if friction[0] > friction[1]:
+        raise ValueError(f"friction range {friction}: give the lower number first")
+    return corner(0), corner(1)
+
+
+def _filled(request: TrialDomain, drawn: TrialDomain) -> TrialDomain:
+    """The request, with what is NaN taken from what was drawn."""
     given = {
         f.name: getattr(request, f.name)
         for f in fields(request)

@@ -17,7 +17,53 @@ MAX_ROTATION = 0.025  # rad, each axis
 MAX_WIDTH_CHANGE = 0.005  # m
 ACTION_SCALE = np.array([MAX_TRANSLATION] * 3 + [MAX_ROTATION] * 3 + [MAX_WIDTH_CHANGE])
 
+ACTION_NAMES = ("dx", "dy", "dz", "rx", "ry", "rz", "dw")
+ACTION_ROUNDING = 1e-6  # beyond [-1, 1], for networks in single precision
+
 CONTROL_STAGE = 1.0
+
+# Where the grasp frame may be told to go, in link_base: in front of the arm, above its foot.
+WORKSPACE_LOWER = np.array([0.20, -0.40, 0.0])  # m
+WORKSPACE_UPPER = np.array([0.75, 0.40, 0.60])  # m
+
+# A network sees (o - ORIGIN) / SCALE: decimetres from a point above the table's middle, and the
+# gap in units of the tofu's thickness; f and the design d are of order one as they are.
+_CENTRE = [0.45, 0.0, 0.1]  # m
+OBSERVATION_ORIGIN = np.array([*_CENTRE, *_CENTRE, 0.03, 0.0])
+OBSERVATION_SCALE = np.array([0.1] * 6 + [0.03, 1.0])
+
+
+def scaled_actions(actions: NDArray[np.floating], count: int) -> NDArray[np.float64]:
+    """[dp, dq, dw] in SI units, (count, 7), of as many actions in [-1, 1].
+
+    Raises:
+        ValueError: another shape, or an action that is not finite or out of range; names its lane.
+    """
+    given = np.asarray(actions, dtype=np.float64)
+    if given.shape != (count, 7):
+        raise ValueError(f"actions have shape {given.shape}: give one of 7 numbers for {count}")
+    bad = ~(np.abs(given) <= 1.0 + ACTION_ROUNDING)  # so that NaN counts as bad
+    if bad.any():
+        lane, which = (int(i) for i in np.argwhere(bad)[0])
+        raise ValueError(
+            f"action of lane {lane}: {ACTION_NAMES[which]} is {given[lane, which]}; "
+            "it must be within [-1, 1], the limits of one step: clip it"
+        )
+    return np.clip(given, -1.0, 1.0) * ACTION_SCALE
+
+
+def normalised_observations(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a network sees of [p_ee, p_obj, w_ee, f, d], (..., 8 + D), in SI units."""
+    scaled = np.array(vectors, dtype=np.float64)
+    scaled[..., :8] = (scaled[..., :8] - OBSERVATION_ORIGIN) / OBSERVATION_SCALE
+    return scaled
+
+
+def physical_observations(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The inverse of `normalised_observations`."""
+    physical = np.array(vectors, dtype=np.float64)
+    physical[..., :8] = physical[..., :8] * OBSERVATION_SCALE + OBSERVATION_ORIGIN
+    return physical
 
 
 @dataclass(frozen=True)
@@ -46,6 +92,16 @@ class Observation:
                 self.design,
             ]
         )
+
+    def normalised(self) -> NDArray[np.float64]:
+        """`vector()` as a network sees it, (8 + D,), dimensionless and of order one."""
+        return normalised_observations(self.vector())
+
+    @classmethod
+    def from_normalised(cls, vector: NDArray[np.floating]) -> "Observation":
+        """The inverse of `normalised`."""
+        physical = physical_observations(vector)
+        return cls(physical[:3], physical[3:6], float(physical[6]), physical[8:])
 
     def is_finite(self) -> bool:
         """Whether every number of it is finite."""

@@ -1,0 +1,361 @@
+"""The control stage as a Gymnasium vector environment over the simulator (docs/environment.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.stock import stock_fingers
+from codesign_policy.domain import FRICTION, TrialDomain, domain_corners, draw_domain
+from codesign_policy.episode import EpisodeLog, Measured, measure
+from codesign_policy.metrics import GraspMetrics
+from codesign_policy.reward import RewardComponents, RewardWeights, reward_components, weighted
+from codesign_policy.task import (
+    CONTROL_STAGE,
+    POLICY_PERIOD,
+    normalised_observations,
+    scaled_actions,
+)
+from codesign_policy.tool import Tool, ToolStart
+from codesign_sim import Block, Material, Simulator, SurfaceMesh
+from codesign_sim.material import stable_time_step
+from codesign_sim.rest import RestShapes
+from codesign_sim.simulator import CONTACT_STIFFNESS, SAFETY, STIFFNESS_DAMPING
+
+EPISODE_STEPS = 200  # 10 s
+LAG = 0.08  # s: the servo's three lags of 20 ms and the simulated arm's two of 10 ms
+MIN_GAP = 0.010  # m
+TABLE_HEIGHT = 0.0  # m, in link_base
+
+Lanes = NDArray[np.int_]
+Info = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ControlConfig:
+    """Settings of the control stage.
+
+    Attributes:
+        tetrahedra: resolution of the block, 600 or 2400.
+        episode_steps: control steps after which an episode is truncated.
+        weights: of the reward's components.
+        domain: material and place that are fixed; what is NaN is drawn for every episode.
+        friction: range that friction is drawn from.
+        start: where the tool begins.
+        lag: time constant with which the tool follows its commands [s].
+        min_gap: smallest gap that can be commanded, whatever the fingers allow [m].
+        end_when_lost: terminate an episode once the lifted object is no longer touched.
+    """
+
+    tetrahedra: int = 600
+    episode_steps: int = EPISODE_STEPS
+    weights: RewardWeights = field(default_factory=RewardWeights)
+    domain: TrialDomain = field(default_factory=TrialDomain)
+    friction: tuple[float, float] = (FRICTION, FRICTION)
+    start: ToolStart = field(default_factory=ToolStart)
+    lag: float = LAG
+    min_gap: float = MIN_GAP
+    end_when_lost: bool = False
+
+
+class ControlEnv(VectorEnv):
+    """Picks up tofu in `num_envs` lanes at once, 20 control steps a second.
+
+    Observations (E, 8 + D) and actions (E, 7) are those of `task.py`, normalised. Every step's
+    info holds arrays (E,): the unweighted components of the reward, stresses, forces and speeds.
+
+    With `AutoresetMode.SAME_STEP` a lane that ends starts its next episode within the same step:
+    the observation returned is the new episode's first, the old one's last is in
+    `info["final_obs"]` and its metrics in `info["final_info"]`, each with a mask under the same
+    name with an underscore. All other arrays describe the step that was made. With `DISABLED` a
+    lane that has ended stands still and ignores its action until it is reset with
+    `options={"reset_mask": (E,) bool}`.
+
+    Equal seeds and actions give equal bits, whatever the neighbours do and however many lanes
+    there are; only fewer than four lanes, which the simulator lays out otherwise, differ from
+    more of them in the last digits.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 8,
+        fingers: FingerPair | Sequence[FingerPair] | None = None,
+        config: ControlConfig | None = None,
+        autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
+    ) -> None:
+        """Settles the block for the corners of the domain, which takes 0.2-0.5 s.
+
+        Args:
+            num_envs: lanes, best a multiple of 8.
+            fingers: one pair for all, or one per lane, with as many design parameters each; None
+                for the stock fingers.
+            config: settings.
+            autoreset_mode: SAME_STEP or DISABLED.
+        Raises:
+            ValueError: a setting outside its range.
+        """
+        if autoreset_mode is AutoresetMode.NEXT_STEP:
+            raise ValueError("autoreset_mode is NEXT_STEP: choose SAME_STEP or DISABLED")
+        self.config = config = config or ControlConfig()
+        self.num_envs = num_envs
+        self.autoreset_mode = autoreset_mode
+        self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
+        self.fingers = _per_lane(fingers or stock_fingers(), num_envs)
+        self._make_spaces()
+        self._make_simulator()
+        self._tool = Tool(num_envs, config.lag, TABLE_HEIGHT, config.min_gap)
+        for lane, pair in enumerate(self.fingers):
+            self._tool.set_fingers(lane, pair)
+        self._log = EpisodeLog(num_envs, config.episode_steps)
+        self._lane_seeds = np.zeros(num_envs, dtype=np.int64)
+        self._episodes = np.full(num_envs, -1)
+        self._ended = np.ones(num_envs, dtype=bool)
+        self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
+        self.domains = [config.domain] * num_envs
+
+    def _make_spaces(self) -> None:
+        designs = {len(pair.parameters) for pair in self.fingers}
+        if len(designs) > 1:
+            raise ValueError(f"fingers have {sorted(designs)} design parameters: give one number")
+        self.single_observation_space = observation_space(designs.pop())
+        self.single_action_space = Box(-1.0, 1.0, (7,), dtype=np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def _make_simulator(self) -> None:
+        block = Block.tofu(self.config.tetrahedra)
+        low, high = domain_corners(self.config.domain, self.config.friction)
+        stiffest = Material(high.young_modulus, high.poisson_ratio, low.density, high.friction)
+        limit = stable_time_step(block, stiffest, CONTACT_STIFFNESS, STIFFNESS_DAMPING)
+        # One time step for every material: a lane must not depend on what its neighbours hold.
+        self.simulator = Simulator(
+            block,
+            [surfaces(pair) for pair in self.fingers],
+            self.num_envs,
+            time_step=SAFETY * limit,
+            table_height=TABLE_HEIGHT,
+        )
+        self._rest = RestShapes(
+            block,
+            (low.young_modulus, high.young_modulus),
+            (low.poisson_ratio, high.poisson_ratio),
+            (low.friction, high.friction),
+            low.density,
+        )
+
+    # ------------------------------------------------------------------ reset
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Starts new episodes.
+
+        Args:
+            seed: lane i draws its first episode from seed + i, as a trial of the graph with that
+                seed does, and later ones from that seed and their number. None goes on with the
+                next episode of every lane; at the first reset it stands for a random seed.
+            options: "reset_mask", (E,) bool: only these lanes; the others keep their state.
+        """
+        super().reset(seed=seed)
+        lanes = self._chosen(options or {})
+        if seed is None and (self._episodes[lanes] < 0).any():
+            seed = int(self.np_random.integers(2**31))
+        if seed is not None:
+            self._lane_seeds[lanes] = seed + lanes
+            self._episodes[lanes] = -1
+        self._start(lanes)
+        return self._observations(), {"episode_seed": self.episode_seeds.copy()}
+
+    def _chosen(self, options: Mapping[str, Any]) -> Lanes:
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs)), dtype=bool)
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(f"reset_mask {mask}: give {self.num_envs} flags, at least one True")
+        if not mask.all() and (self._episodes[~mask] < 0).any():
+            raise ValueError("reset_mask leaves lanes out that were never reset: reset all first")
+        return np.flatnonzero(mask)
+
+    def _start(self, lanes: Lanes) -> None:
+        """New episodes in these lanes."""
+        self._episodes[lanes] += 1
+        for lane in lanes:
+            self.episode_seeds[lane] = seed = episode_seed(
+                int(self._lane_seeds[lane]), int(self._episodes[lane])
+            )
+            self.domains[lane] = draw_domain(seed, self.config.domain, self.config.friction)
+        self._tool.reset(lanes, self.config.start)
+        self._place_blocks(lanes)
+        self._measured = measure(self.simulator)
+        self._log.start(lanes, self._measured)
+        self._ended[lanes] = False
+
+    def _place_blocks(self, lanes: Lanes) -> None:
+        domains = [self.domains[lane] for lane in lanes]
+        materials = [_material(domain) for domain in domains]
+        if len(lanes) == self.num_envs:  # the first time, or after an error
+            self.simulator.reset(materials, fingers=self._tool.targets(), settle=False)
+        self.simulator.reset_some(
+            lanes,
+            materials,
+            self._rest.of(materials),
+            position=np.array([(domain.x, domain.y) for domain in domains]),
+            yaw=np.array([domain.yaw for domain in domains]),
+            fingers=self._tool.targets(lanes),
+        )
+
+    # ------------------------------------------------------------------- step
+
+    def step(
+        self, actions: NDArray[np.floating]
+    ) -> tuple[
+        NDArray[np.float32],
+        NDArray[np.float64],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+        Info,
+    ]:
+        """One control step of 50 ms.
+
+        Raises:
+            ValueError: an action that is not finite or beyond [-1, 1], naming the lane.
+            SimulationError: the state stopped being finite.
+        """
+        if (self._episodes < 0).any():
+            raise RuntimeError("step before the first reset: call reset()")
+        increments = scaled_actions(actions, self.num_envs)
+        active = np.flatnonzero(~self._ended)
+        increments[self._ended] = 0.0
+        self._tool.move(increments)
+        self.simulator.advance(POLICY_PERIOD, self._tool.targets())
+        self._measured = measure(self.simulator)
+        self._log.add(active, self._measured)
+        components = self._components(self._measured)
+        rewards = np.where(self._ended, 0.0, weighted(components, self.config.weights))
+        truncated = self._log.steps >= self.config.episode_steps
+        terminated = self._log.lost & self.config.end_when_lost
+        info = self._info(components, self._measured)
+        ending = np.flatnonzero((truncated | terminated) & ~self._ended)
+        self._ended[ending] = True
+        if len(ending):
+            self._finish(ending, info)
+        return self._observations(), rewards, terminated, truncated, info
+
+    def _components(self, measured: Measured) -> RewardComponents:
+        away = measured.centre - self._tool.position
+        axis = self._tool.opening  # from the right finger to the left one
+        left = -(measured.left_force * axis).sum(axis=1)
+        right = (measured.right_force * axis).sum(axis=1)
+        return reward_components(
+            rise=self._log.rise,
+            steps_up=self._log.steps_up,
+            normal_force=np.minimum(left, right),
+            distance=np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2),
+            top10_stress=measured.top10_stress,
+            mean_stress=measured.mean_stress,
+            contact=self._log.touching,
+        )
+
+    def _info(self, components: RewardComponents, measured: Measured) -> Info:
+        return {
+            **{f"reward_{f.name}": getattr(components, f.name) for f in fields(components)},
+            "top10_stress": measured.top10_stress,
+            "mean_stress": measured.mean_stress,
+            "median_stress": measured.median_stress,
+            "rise": self._log.rise.copy(),
+            "contact": self._log.touching.copy(),
+            "success": self._log.success,
+            "penetration": measured.penetration,
+            "object_speed": measured.object_speed,
+            "node_speed": measured.node_speed,
+        }
+
+    def _finish(self, lanes: Lanes, info: Info) -> None:
+        """Judges the episodes that end and, in SAME_STEP mode, starts the next ones."""
+        mask = np.zeros(self.num_envs, dtype=bool)
+        mask[lanes] = True
+        last = self._observations()
+        last[~mask] = 0.0
+        info["final_obs"], info["_final_obs"] = last, mask
+        info["final_info"], info["_final_info"] = self._final_info(lanes, mask), mask.copy()
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            self._start(lanes)
+
+    def _final_info(self, lanes: Lanes, mask: NDArray[np.bool_]) -> Info:
+        final: Info = {}
+        judged = [self._log.metrics(lane) for lane in lanes]
+        for item in fields(GraspMetrics):
+            values = np.zeros(self.num_envs, dtype=bool if item.name == "success" else float)
+            values[lanes] = [getattr(metrics, item.name) for metrics in judged]
+            final[item.name], final[f"_{item.name}"] = values, mask.copy()
+        final["steps"], final["_steps"] = np.where(mask, self._log.steps, 0), mask.copy()
+        seeds = np.where(mask, self.episode_seeds, 0)
+        final["episode_seed"], final["_episode_seed"] = seeds, mask.copy()
+        return final
+
+    # ------------------------------------------------------------ observation
+
+    def _observations(self) -> NDArray[np.float32]:
+        stage = np.full((self.num_envs, 1), CONTROL_STAGE)
+        vectors = np.concatenate(
+            [
+                self._tool.position,
+                self._measured.centre,
+                self._tool.width[:, None],
+                stage,
+                np.array([pair.parameters for pair in self.fingers]).reshape(self.num_envs, -1),
+            ],
+            axis=1,
+        )
+        return normalised_observations(vectors).astype(np.float32)
+
+
+def observation_space(design_parameters: int) -> Box:
+    """Normalised observations of one lane, (8 + D,): far beyond what a trial reaches.
+
+    Tool and object within 2 m of the middle, the gap within 0.15 m, design parameters within 10.
+    """
+    high = np.concatenate([np.full(6, 20.0), [4.0, 1.0], np.full(design_parameters, 10.0)])
+    low = -high
+    low[7] = 0.0
+    return Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+def episode_seed(lane_seed: int, episode: int) -> int:
+    """What `draw_domain` gets in a lane's n-th episode: the lane's seed itself in the first."""
+    if episode == 0:
+        return lane_seed
+    return int(np.random.SeedSequence([lane_seed, episode]).generate_state(1)[0])
+
+
+def surfaces(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
+    """Left and right finger for the simulator."""
+
+    def surface(mesh: TriangleMesh) -> SurfaceMesh:
+        return SurfaceMesh(vertices=mesh.vertices, faces=mesh.faces)
+
+    return surface(fingers.left), surface(fingers.right)
+
+
+def _per_lane(fingers: FingerPair | Sequence[FingerPair], count: int) -> list[FingerPair]:
+    pairs = [fingers] * count if isinstance(fingers, FingerPair) else list(fingers)
+    if len(pairs) != count:
+        raise ValueError(f"got {len(pairs)} finger pairs for {count} lanes: give one for each")
+    return pairs
+
+
+def _material(domain: TrialDomain) -> Material:
+    return Material(
+        young_modulus=domain.young_modulus,
+        poisson_ratio=domain.poisson_ratio,
+        density=domain.density,
+        friction=domain.friction,
+    )
