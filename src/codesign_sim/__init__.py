@@ -2,6 +2,7 @@
 
 from codesign_sim.block import Block
 from codesign_sim.checks import SimulationError
+from codesign_sim.closing import closing_limit
 from codesign_sim.fingers import FingerTargets
 from codesign_sim.material import Material
 from codesign_sim.mesh import SurfaceMesh
@@ -19,5 +20,6 @@ __all__ = [
     "Stress",
     "StressMeasure",
     "SurfaceMesh",
+    "closing_limit",
     "warm_up",
 ]

@@ -20,9 +20,9 @@ from codesign_sim.checks import (
     require_per_environment,
     require_positive,
 )
-from codesign_sim.distance import bake
+from codesign_sim.finger_bank import FingerBank, Fingers
 from codesign_sim.fingers import FingerTargets, path, turn_angle
-from codesign_sim.layout import Layout, floats, ints, zeros
+from codesign_sim.layout import Layout, zeros
 from codesign_sim.material import Material, stable_time_step
 from codesign_sim.mesh import SurfaceMesh
 from codesign_sim.stress import Stress, StressMeasure, summarise
@@ -37,9 +37,6 @@ SETTLE_TIME = 0.25  # s
 SETTLE_DAMPING = 150.0  # 1/s, about critical for the slowest vibration of the tofu
 _CHUNK = 128  # steps per launch
 _FINGERS, _TABLE = 3, 4  # obstacle bits
-_EMPTY_GRID = np.ones((2, 2, 2), dtype=np.float32)
-
-Fingers = tuple[SurfaceMesh, SurfaceMesh]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +111,6 @@ class Simulator:
         self._given_time_step = time_step
         self._materials: list[Material] = []
         self._fingers_at: FingerTargets | None = None
-        self._finger_radius = 0.0
-        self._has_fingers = False
         self._broken = ""
         self._launches: dict[str, Any] = {}
 
@@ -128,6 +123,7 @@ class Simulator:
         self._layout.describe_block(scene)
         self._layout.allocate(scene, _CHUNK)
         self.pin([])
+        self._bank = FingerBank(scene, self._layout, device)
         self.set_fingers(*_split(fingers))
 
     # ------------------------------------------------------------------ set-up
@@ -136,35 +132,28 @@ class Simulator:
         self,
         left: SurfaceMesh | Sequence[SurfaceMesh] | None,
         right: SurfaceMesh | Sequence[SurfaceMesh] | None,
+        environments: Sequence[int] | np.ndarray | None = None,
     ) -> None:
-        """Swaps the fingers between trials: one mesh each, or one per environment.
+        """Swaps the fingers between trials, in all environments or some.
 
-        Clears the friction anchors; the fingers are next placed where the next target says.
+        Clears the friction anchors on them. Swapped in all environments, fingers are next placed
+        where the next target says; in some, the new ones stand where the old ones stood, and the
+        other environments keep every bit of their state.
+
+        Args:
+            left, right: one mesh each, or one per environment (of those given); None for none.
+            environments: (K,) different indices; None for all.
+        Raises:
+            ValueError: wrong indices, or as many meshes as neither one nor K.
+        Warns:
+            UserWarning: walls too thin for the distance grid.
         """
-        pairs = _pairs(left, right, self.environments)
-        self._has_fingers = pairs is not None
-        self._finger_radius = max((m.radius for p in pairs or () for m in p), default=0.0)
-        pool: list[np.ndarray] = []
-        offsets: dict[int, int] = {}
-        frames = np.zeros((self.environments, 2, 8))
-        indices = np.zeros((self.environments, 2, 3), dtype=int)
-        frames[..., 3] = 1.0
-        for environment, pair in enumerate(pairs or ()):
-            for side, mesh in enumerate(pair):
-                grid = bake(mesh)
-                if id(grid) not in offsets:
-                    offsets[id(grid)] = sum(v.size for v in pool)
-                    pool.append(grid.values)
-                nz, ny, nx = grid.values.shape
-                frames[environment, side, :3] = grid.origin
-                frames[environment, side, 3:7] = [1 / grid.spacing, nx - 1, ny - 1, nz - 1]
-                indices[environment, side] = [offsets[id(grid)], nx, nx * ny]
-        values = np.concatenate([v.ravel() for v in pool or [_EMPTY_GRID]])
-        self._scene.grids = floats(values)
-        self._scene.grid_frames = floats(self._layout.grouped(frames))
-        self._scene.grid_indices = ints(self._layout.grouped(indices))
-        self._scene.anchors.zero_()
-        self._fingers_at = None
+        every = environments is None
+        chosen = np.arange(self.environments)
+        if environments is not None:
+            chosen = _indices(environments, self.environments)
+        self._bank.load(chosen, _pairs(left, right, len(chosen)))
+        self._fingers_at = None if every else self._within_limits(self._fingers_at)
         self._launches = {}
 
     def reset(
@@ -202,7 +191,7 @@ class Simulator:
         self._fingers_at = None
         if settle:
             self.settle()
-        self._fingers_at = fingers
+        self._fingers_at = self._within_limits(fingers)
         self.time = 0.0
 
     def reset_some(
@@ -244,7 +233,8 @@ class Simulator:
         self._choose_time_step(every)
         self._place(chosen, materials, position, yaw, shapes)
         if fingers is not None and self._fingers_at is not None:
-            self._fingers_at = self._fingers_at.replaced(chosen, fingers)
+            placed = self._fingers_at.replaced(chosen, fingers)
+            self._fingers_at = self._within_limits(placed)
 
     @property
     def _undeformed(self) -> np.ndarray:
@@ -354,8 +344,9 @@ class Simulator:
         require_positive("duration", duration, (), "s")
         if targets is not None:
             self._check_count(targets)
-            if not self._has_fingers:
+            if not self._bank:
                 raise ValueError("finger targets given, but the simulator has no fingers")
+            targets = self._within_limits(targets)
         self._run(duration, targets, self.mass_damping, about_rigid=True)
         self.time += duration
 
@@ -367,7 +358,7 @@ class Simulator:
         end = self._fingers_at if targets is None else targets
         start = end if self._fingers_at is None else self._fingers_at
         speed = self._finger_speed(start, end, duration, dt)
-        obstacles = (_FINGERS if end is not None and self._has_fingers else 0) | (
+        obstacles = (_FINGERS if end is not None and self._bank else 0) | (
             _TABLE if self.table_height is not None else 0
         )
         settings = self._settings(dt, damping, about_rigid, obstacles, speed)
@@ -413,7 +404,7 @@ class Simulator:
     ) -> float:
         if start is None or end is None:
             return 0.0
-        reach = self._finger_radius + np.maximum(np.abs(start.width), np.abs(end.width)) / 2
+        reach = self._bank.radii + np.maximum(np.abs(start.width), np.abs(end.width)) / 2
         travel = (
             np.linalg.norm(end.position - start.position, axis=1)
             + np.abs(end.width - start.width) / 2
@@ -505,8 +496,17 @@ class Simulator:
 
     @property
     def fingers(self) -> FingerTargets | None:
-        """Where the fingers are now; None while they are away."""
+        """Where the fingers really are now, widths held to the limits; None while away."""
         return self._fingers_at
+
+    @property
+    def closing_limits(self) -> np.ndarray:
+        """Smallest widths (E,) in metres, at which the fingers touch each other.
+
+        A narrower target closes the fingers as far as this and no farther (`closing_limit`):
+        fingers that passed through each other would tear the block apart.
+        """
+        return self._bank.closing_limits.copy()
 
     def object_pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Best-fit rigid motion of the block: centre (E, 3) in metres, quaternion (E, 4) xyzw."""
@@ -546,6 +546,14 @@ class Simulator:
         """Force and depth (E, 3 obstacles, 4) of the last launch."""
         return self._layout.ungrouped(self._scene.reports, 3, 4)
 
+    def _within_limits(self, targets: FingerTargets | None) -> FingerTargets | None:
+        """The targets, no narrower than the fingers allow."""
+        limits = self._bank.closing_limits
+        if targets is None or (targets.width >= limits).all():
+            return targets
+        width = np.maximum(targets.width, limits)
+        return FingerTargets(targets.position, targets.quaternion, width)
+
     def _check_count(self, targets: FingerTargets) -> None:
         if len(targets) != self.environments:
             raise ValueError(
@@ -584,9 +592,9 @@ def _split(fingers: Fingers | Sequence[Fingers] | None) -> tuple:
     return [pair[0] for pair in pairs], [pair[1] for pair in pairs]  # type: ignore[index]
 
 
-def _pairs(left, right, environments: int) -> list[Fingers] | None:
+def _pairs(left, right, environments: int) -> Sequence[Fingers | None]:
     if left is None and right is None:
-        return None
+        return [None] * environments
     sides = []
     for name, side in (("left", left), ("right", right)):
         meshes = [side] * environments if isinstance(side, SurfaceMesh) else list(side or [])
