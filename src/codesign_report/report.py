@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from codesign_policy import metrics as definitions
+from codesign_policy.files import write_text
 from codesign_policy.metrics import GraspMetrics, in_contact, lift, score
 from codesign_report.charts import Chart, Drawing, Series, draw, limits
-from codesign_report.files import write_text
 from codesign_report.recording import TrialRecording
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from codesign_policy.files import replacing
 from codesign_policy.metrics import in_contact, lift
-from codesign_report.files import replacing
 from codesign_report.overlay import Overlay, nice_ceiling
 from codesign_report.recording import Floats, TrialRecording
 from codesign_report.scene import Camera, Image, SceneRenderer
