@@ -1,0 +1,157 @@
+"""From a raw surface to a finger pair that can be printed, screwed on and simulated."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+
+from codesign_design import mount as stock_mount
+from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.gripper_check import check_gripper
+from codesign_design.mesh_checks import MeshChecks, check_mesh, edge_checks, volume_and_centre
+from codesign_design.mount import MAX_DEPTH, Mounted, mount_finger
+from codesign_design.mount_check import check_mount
+from codesign_design.printability import Deviation, PrintReport, check_printing
+from codesign_design.repair import Repaired, repair, smoothed
+
+SMOOTHING = (10, 5, 0)  # Taubin iterations: fewer where smoothing makes faces intersect
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A valid, mounted left finger on its way to a pair.
+
+    Attributes:
+        body: without the mount.
+        mounted: with it.
+        checks: of the mounted mesh.
+        repaired: how the body was made; None where the raw surface was valid and is kept.
+    """
+
+    body: TriangleMesh
+    mounted: Mounted
+    checks: MeshChecks
+    repaired: Repaired | None
+
+
+@dataclass(frozen=True)
+class BuiltFinger:
+    """A finger pair, its report, and the surface it was made from."""
+
+    pair: FingerPair
+    report: PrintReport
+    raw: TriangleMesh
+
+
+def build_finger(
+    surface: TriangleMesh,
+    name: str = "",
+    cage: str = "",
+    parameters: Sequence[float] = (),
+    mount: str = stock_mount.NAME,
+) -> BuiltFinger:
+    """Repairs a raw surface where needed, mounts and mirrors it, and checks the result.
+
+    Args:
+        surface: left finger in the grasp frame at gap 0 [m]: contact side towards -y. It may
+            intersect itself or have holes; a valid one keeps its sharp edges.
+        name: for people.
+        cage: design space that shaped it, empty for none.
+        parameters: its design action.
+        mount: "stock-m3x2", the only one there is.
+
+    Raises:
+        ValueError: unknown mount, values that are not finite, or a surface without a solid. A
+            finger that cannot be printed or used is built all the same; its report says why.
+    """
+    if mount != stock_mount.NAME:
+        raise ValueError(f"mount {mount!r}: there is only {stock_mount.NAME!r}")
+    shape = shape_finger(surface)
+    left = shape.mounted.mesh
+    gripper = check_gripper(left)
+    pair = FingerPair(
+        name=name,
+        left=left,
+        right=left.mirrored_y(),
+        min_width=gripper.min_width,
+        max_width=max(gripper.max_width, gripper.min_width),
+        cage=cage,
+        parameters=tuple(float(p) for p in parameters),
+        mount=mount,
+    )
+    report = PrintReport(
+        name=name,
+        content_hash=pair.content_hash,
+        mesh=shape.checks,
+        mirrored=_is_mirrored(pair),
+        printing=check_printing(left),
+        mount=check_mount(left),
+        gripper=gripper,
+        deviation=_deviation(surface, shape),
+    )
+    return BuiltFinger(pair, report, surface)
+
+
+def shape_finger(surface: TriangleMesh) -> Shape:
+    """The mounted left finger alone, without the measures of the report.
+
+    Raises:
+        ValueError: like `build_finger`.
+    """
+    _check_input(surface)
+    raw = check_mesh(surface)
+    repaired = None if raw.valid else repair(surface, MAX_DEPTH)
+    for body in [surface] if repaired is None else _smoother_first(repaired):
+        mounted = mount_finger(body)
+        shape = Shape(body, mounted, check_mesh(mounted.mesh), repaired)
+        if shape.checks.valid:
+            break
+    return shape
+
+
+def _smoother_first(repaired: Repaired) -> Iterator[TriangleMesh]:
+    return (smoothed(repaired.mesh, iterations) for iterations in SMOOTHING)
+
+
+def _check_input(surface: TriangleMesh) -> None:
+    if not len(surface.vertices) or not len(surface.faces):
+        raise ValueError(
+            f"the surface is empty: {len(surface.vertices)} vertices, {len(surface.faces)} faces"
+        )
+    if not np.isfinite(surface.vertices).all():
+        bad = int(np.flatnonzero(~np.isfinite(surface.vertices).all(axis=1))[0])
+        raise ValueError(
+            f"vertex {bad} of the surface is {surface.vertices[bad]}; all must be finite"
+        )
+    if surface.faces.min() < 0 or surface.faces.max() >= len(surface.vertices):
+        raise ValueError(
+            f"a face names vertex {surface.faces.max()}, there are {len(surface.vertices)}"
+        )
+
+
+def _is_mirrored(pair: FingerPair) -> bool:
+    """Whether the right finger is the left one's mirror image, wound outward."""
+    volume = volume_and_centre(pair.right)[0]
+    same_points = np.array_equal(pair.right.vertices * [1.0, -1.0, 1.0], pair.left.vertices)
+    return all(edge_checks(pair.right.faces)) and volume > 0 and same_points
+
+
+def _deviation(raw: TriangleMesh, shape: Shape) -> Deviation:
+    front = raw.vertices[:, 1].min()
+    cut = max(0.0, float(raw.vertices[:, 1].max() - front) - shape.mounted.depth)
+    if shape.repaired is None:
+        return Deviation(False, 0.0, 0.0, 0.0, 0.0, shape.mounted.lost, cut)
+    points = shape.body.vertices
+    kept = points[points[:, 1] < points[:, 1].min() + shape.mounted.depth]
+    squared, _, _ = igl.point_mesh_squared_distance(kept, raw.vertices, raw.faces.astype(np.int64))
+    distance = np.sqrt(squared)
+    return Deviation(
+        remeshed=True,
+        mean=float(distance.mean()),
+        p95=float(np.percentile(distance, 95)),
+        largest=float(distance.max()),
+        volume_change=volume_and_centre(shape.body)[0] / shape.repaired.volume - 1.0,
+        lost=max(shape.repaired.lost, shape.mounted.lost),
+        cut=cut,
+    )
