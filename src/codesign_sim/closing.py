@@ -9,7 +9,7 @@ import numpy as np
 
 from codesign_sim import disk_cache
 from codesign_sim.mesh import SurfaceMesh
-from codesign_sim.surface_queries import SurfaceQueries, edge_samples
+from codesign_sim.surface_queries import edge_samples, queries_of
 
 STEP = 0.5e-3  # metres between the points of one finger that are looked at
 _EXACT = 1e-6  # metres; no search for a limit larger by less than this
@@ -65,8 +65,10 @@ def _largest_overlap(left: SurfaceMesh, right: SurfaceMesh) -> float:
         return 0.0
     limit = 0.0
     for mesh, other, way in ((left, right, -1.0), (right, left, 1.0)):
-        faces = np.flatnonzero(way * mesh.normals_by_area[:, 1] > 0)
-        points = edge_samples(mesh, faces, STEP)
+        ahead = (way * mesh.vertices[mesh.faces, 1]).max(axis=1)
+        overlapping = ahead > (way * other.vertices[:, 1]).min() + limit + _EXACT
+        towards_other = way * mesh.normals_by_area[:, 1] > 0
+        points = edge_samples(mesh, np.flatnonzero(overlapping & towards_other), STEP)
         within = (points[:, [0, 2]] > low) & (points[:, [0, 2]] < high)
         limit = _search(points[within.all(axis=1)], other, way, limit)
     return limit
@@ -89,19 +91,17 @@ def _search(points: np.ndarray, other: SurfaceMesh, way: float, limit: float) ->
     """
     front = float((-way * other.vertices[:, 1]).max())  # of the other finger, towards the points
     could = front + way * points[:, 1]
-    order = np.argsort(-could)[: int((could > limit + _EXACT).sum())]
-    points, could = points[order], could[order]
-    surface = SurfaceQueries(other) if len(points) else None
-    for first in range(0, len(points), _AT_ONCE):
-        chunk = points[first : first + _AT_ONCE].copy()
-        if surface is None or could[first] <= limit + _EXACT:
+    hopeful = np.flatnonzero(could > limit + _EXACT)
+    hopeful = hopeful[np.argsort(-could[hopeful])]
+    outside = front + 1e-3  # where rays start, so that they meet the front of the other finger
+    for first in range(0, len(hopeful), _AT_ONCE):
+        chosen = hopeful[first : first + _AT_ONCE]
+        if could[chosen[0]] <= limit + _EXACT:
             break
-        start = -way * (front + 1e-3)
-        reach = could[first : first + _AT_ONCE].max() + 2e-3
-        own = way * chunk[:, 1]
-        chunk[:, 1] = start
-        towards = np.tile([0.0, way, 0.0], (len(chunk), 1))
-        distance, _ = surface.first_hits(chunk, towards, reach)
-        overlap = float((own + front + 1e-3 - distance).max())
+        start = points[chosen]
+        start[:, 1] = -way * outside
+        towards = np.tile([0.0, way, 0.0], (len(chosen), 1))
+        distance, _ = queries_of(other).first_hits(start, towards, could[chosen[0]] + 2e-3)
+        overlap = float((way * points[chosen, 1] + outside - distance).max())
         limit = overlap if overlap > limit + _EXACT else limit
     return limit

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from codesign_sim import disk_cache
 from codesign_sim.mesh import SurfaceMesh
-from codesign_sim.surface_queries import BAND, SurfaceQueries, spread_samples
+from codesign_sim.surface_queries import BAND, SurfaceQueries, queries_of, spread_samples
 
 SPACING = 1e-3  # metres; edges sharper than this are rounded to about it
 # Walls thinner than this many cells are weak or invisible: between two cells' corners 1 mm apart
@@ -111,7 +111,7 @@ def _bake(mesh: SurfaceMesh, spacing: float) -> DistanceGrid:
     axes = [low[k] + spacing * np.arange(shape[k]) for k in range(3)]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
-    surface = SurfaceQueries(mesh, sides=True)
+    surface = queries_of(mesh)
     distance, side = surface.nearest(points)
     signed = _everywhere(side, distance.reshape(shape[::-1]), spacing, surface, points)
     thin = _thin_walls(mesh, surface, THINNEST * spacing)

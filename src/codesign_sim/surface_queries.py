@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import warp as wp
 
@@ -65,18 +67,13 @@ def _cast(
 
 
 class SurfaceQueries:
-    """A finger's surface in a tree, on the CPU, in single precision.
+    """A finger's surface in a tree, on the CPU, in single precision; see `queries_of`."""
 
-    Args:
-        mesh: the surface.
-        sides: whether `sides` will be asked, which makes the tree larger.
-    """
-
-    def __init__(self, mesh: SurfaceMesh, sides: bool = False) -> None:
+    def __init__(self, mesh: SurfaceMesh) -> None:
         self._mesh = wp.Mesh(
             points=wp.array(mesh.vertices, dtype=wp.vec3, device="cpu"),
             indices=wp.array(mesh.faces.ravel(), dtype=wp.int32, device="cpu"),
-            support_winding_number=sides,
+            support_winding_number=True,
         )
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,6 +107,12 @@ class SurfaceQueries:
         inputs = [self._mesh.id, where, *more, *found]
         wp.launch(kernel, dim=len(points), inputs=inputs, device="cpu")
         return [array.numpy() for array in found]
+
+
+@lru_cache(maxsize=4)
+def queries_of(mesh: SurfaceMesh) -> SurfaceQueries:
+    """The tree of a mesh; those of the last two pairs of fingers are kept."""
+    return SurfaceQueries(mesh)
 
 
 def spread_samples(mesh: SurfaceMesh, spacing: float) -> tuple[np.ndarray, np.ndarray]:
