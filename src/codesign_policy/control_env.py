@@ -37,6 +37,26 @@ TABLE_HEIGHT = 0.0  # m, in link_base
 
 Lanes = NDArray[np.int_]
 Info = dict[str, Any]
+Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]
+
+# What a step's info and an ended episode's final info hold, (E,) each.
+STEP_INFO: dict[str, type] = {
+    **{f"reward_{f.name}": float for f in fields(RewardComponents)},
+    "top10_stress": float,
+    "mean_stress": float,
+    "median_stress": float,
+    "rise": float,
+    "contact": bool,
+    "success": bool,
+    "penetration": float,
+    "object_speed": float,
+    "node_speed": float,
+}
+FINAL_INFO: dict[str, type] = {
+    **{f.name: bool if f.name == "success" else float for f in fields(GraspMetrics)},
+    "steps": int,
+    "episode_seed": int,
+}
 
 
 @dataclass(frozen=True)
@@ -110,8 +130,8 @@ class ControlEnv(VectorEnv):
         self.num_envs = num_envs
         self.autoreset_mode = autoreset_mode
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
-        self.fingers = _per_lane(fingers or stock_fingers(), num_envs)
-        self._make_spaces()
+        self.fingers = per_lane(fingers, num_envs)
+        set_spaces(self)
         self._make_simulator()
         self._tool = Tool(num_envs, config.lag, TABLE_HEIGHT, config.min_gap)
         for lane, pair in enumerate(self.fingers):
@@ -122,15 +142,6 @@ class ControlEnv(VectorEnv):
         self._ended = np.ones(num_envs, dtype=bool)
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
         self.domains = [config.domain] * num_envs
-
-    def _make_spaces(self) -> None:
-        designs = {len(pair.parameters) for pair in self.fingers}
-        if len(designs) > 1:
-            raise ValueError(f"fingers have {sorted(designs)} design parameters: give one number")
-        self.single_observation_space = observation_space(designs.pop())
-        self.single_action_space = Box(-1.0, 1.0, (7,), dtype=np.float32)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def _make_simulator(self) -> None:
         block = Block.tofu(self.config.tetrahedra)
@@ -214,15 +225,7 @@ class ControlEnv(VectorEnv):
 
     # ------------------------------------------------------------------- step
 
-    def step(
-        self, actions: NDArray[np.floating]
-    ) -> tuple[
-        NDArray[np.float32],
-        NDArray[np.float64],
-        NDArray[np.bool_],
-        NDArray[np.bool_],
-        Info,
-    ]:
+    def step(self, actions: NDArray[np.floating]) -> Step:
         """One control step of 50 ms.
 
         Raises:
@@ -265,40 +268,33 @@ class ControlEnv(VectorEnv):
         )
 
     def _info(self, components: RewardComponents, measured: Measured) -> Info:
-        return {
-            **{f"reward_{f.name}": getattr(components, f.name) for f in fields(components)},
-            "top10_stress": measured.top10_stress,
-            "mean_stress": measured.mean_stress,
-            "median_stress": measured.median_stress,
+        values = {
+            **vars(measured),
+            **{f"reward_{name}": value for name, value in vars(components).items()},
             "rise": self._log.rise.copy(),
             "contact": self._log.touching.copy(),
             "success": self._log.success,
-            "penetration": measured.penetration,
-            "object_speed": measured.object_speed,
-            "node_speed": measured.node_speed,
         }
+        return {name: values[name] for name in STEP_INFO}
 
     def _finish(self, lanes: Lanes, info: Info) -> None:
         """Judges the episodes that end and, in SAME_STEP mode, starts the next ones."""
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[lanes] = True
-        last = self._observations()
-        last[~mask] = 0.0
-        info["final_obs"], info["_final_obs"] = last, mask
-        info["final_info"], info["_final_info"] = self._final_info(lanes, mask), mask.copy()
+        info.update(final_entries(mask, self._observations(), self._judge(lanes)))
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             self._start(lanes)
 
-    def _final_info(self, lanes: Lanes, mask: NDArray[np.bool_]) -> Info:
-        final: Info = {}
-        judged = [self._log.metrics(lane) for lane in lanes]
-        for item in fields(GraspMetrics):
-            values = np.zeros(self.num_envs, dtype=bool if item.name == "success" else float)
-            values[lanes] = [getattr(metrics, item.name) for metrics in judged]
-            final[item.name], final[f"_{item.name}"] = values, mask.copy()
-        final["steps"], final["_steps"] = np.where(mask, self._log.steps, 0), mask.copy()
-        seeds = np.where(mask, self.episode_seeds, 0)
-        final["episode_seed"], final["_episode_seed"] = seeds, mask.copy()
+    def _judge(self, lanes: Lanes) -> dict[str, NDArray]:
+        """FINAL_INFO of the episodes in these lanes, (E,) each."""
+        final: dict[str, NDArray] = {
+            name: np.zeros(self.num_envs, dtype) for name, dtype in FINAL_INFO.items()
+        }
+        final["steps"][lanes] = self._log.steps[lanes]
+        final["episode_seed"][lanes] = self.episode_seeds[lanes]
+        for lane in lanes:
+            for name, value in vars(self._log.metrics(lane)).items():
+                final[name][lane] = value
         return final
 
     # ------------------------------------------------------------ observation
@@ -318,12 +314,36 @@ class ControlEnv(VectorEnv):
         return normalised_observations(vectors).astype(np.float32)
 
 
-def observation_space(design_parameters: int) -> Box:
+def final_entries(
+    mask: NDArray[np.bool_], observations: NDArray[np.float32], final: Mapping[str, NDArray]
+) -> Info:
+    """Gymnasium's entries of a step's info where `mask` says that episodes ended."""
+    final_info: Info = {}
+    for name, values in final.items():
+        final_info[name], final_info[f"_{name}"] = (
+            np.where(mask, values, values.dtype.type(0)),
+            mask,
+        )
+    last = np.where(mask[:, None], observations, np.float32(0.0))
+    return {
+        "final_obs": last,
+        "_final_obs": mask,
+        "final_info": final_info,
+        "_final_info": mask,
+    }
+
+
+def observation_size(fingers: Sequence[FingerPair]) -> int:
+    """8 + D, for fingers with D design parameters each."""
+    return 8 + len(fingers[0].parameters)
+
+
+def observation_space(size: int) -> Box:
     """Normalised observations of one lane, (8 + D,): far beyond what a trial reaches.
 
     Tool and object within 2 m of the middle, the gap within 0.15 m, design parameters within 10.
     """
-    high = np.concatenate([np.full(6, 20.0), [4.0, 1.0], np.full(design_parameters, 10.0)])
+    high = np.concatenate([np.full(6, 20.0), [4.0, 1.0], np.full(size - 8, 10.0)])
     low = -high
     low[7] = 0.0
     return Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
@@ -345,11 +365,31 @@ def surfaces(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
     return surface(fingers.left), surface(fingers.right)
 
 
-def _per_lane(fingers: FingerPair | Sequence[FingerPair], count: int) -> list[FingerPair]:
+def per_lane(fingers: FingerPair | Sequence[FingerPair] | None, count: int) -> list[FingerPair]:
+    """One pair for each lane; None stands for the stock fingers.
+
+    Raises:
+        ValueError: not as many pairs as lanes, or pairs that differ in their number of design
+            parameters.
+    """
+    fingers = fingers or stock_fingers()
     pairs = [fingers] * count if isinstance(fingers, FingerPair) else list(fingers)
     if len(pairs) != count:
         raise ValueError(f"got {len(pairs)} finger pairs for {count} lanes: give one for each")
+    designs = sorted({len(pair.parameters) for pair in pairs})
+    if len(designs) > 1:
+        raise ValueError(
+            f"fingers have {designs} design parameters: give pairs of one design space"
+        )
     return pairs
+
+
+def set_spaces(env: Any) -> None:
+    """Observation and action spaces of a vector environment with `fingers` in its lanes."""
+    env.single_observation_space = observation_space(observation_size(env.fingers))
+    env.single_action_space = Box(-1.0, 1.0, (7,), dtype=np.float32)
+    env.observation_space = batch_space(env.single_observation_space, env.num_envs)
+    env.action_space = batch_space(env.single_action_space, env.num_envs)
 
 
 def _material(domain: TrialDomain) -> Material:

@@ -47,16 +47,19 @@ class Measured:
 def measure(simulator: Simulator) -> Measured:
     """Reads the simulator."""
     stress, contact = simulator.stress(), simulator.contact()
-    weights = simulator.block.node_volumes / simulator.block.volume
-    velocities = simulator.velocities
-    # One sum per lane, so that its last bit does not depend on how many lanes there are.
-    centre = np.stack([weights @ lane for lane in simulator.positions])
-    drift = np.stack([weights @ lane for lane in velocities])
+    # Without BLAS and in one memory order, or a sum's last bit would depend on how many lanes
+    # there are and where they lie.
+    weights = (simulator.block.node_volumes / simulator.block.volume)[:, None]
     volumes = simulator.block.volumes / simulator.block.volume
+    positions, velocities, von_mises = map(
+        np.ascontiguousarray, (simulator.positions, simulator.velocities, stress.von_mises)
+    )
+    centre = (positions * weights).sum(axis=1)
+    drift = (velocities * weights).sum(axis=1)
     return Measured(
         centre=centre,
         top10_stress=stress.top10_mean,
-        mean_stress=np.array([volumes @ lane for lane in stress.von_mises]),
+        mean_stress=(von_mises * volumes).sum(axis=1),
         median_stress=stress.median,
         left_force=contact.left,
         right_force=contact.right,
