@@ -6,6 +6,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,13 +16,15 @@ os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 50)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
+LOG_FOLDER = pytest.StashKey[Path]()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Any:
     """Shows what the nodes logged when a test with a graph fails."""
     report = yield
-    folder = getattr(item, "funcargs", {}).get("tmp_path")
-    if report.failed and folder is not None:
-        for log in sorted(folder.glob("logs/*.log")):
+    if report.failed and LOG_FOLDER in item.stash:
+        for log in sorted(item.stash[LOG_FOLDER].glob("*.log")):
             report.sections.append((f"log of {log.stem}", log.read_text()[-3000:]))
     return report
 
@@ -64,20 +67,33 @@ class Probe:
 
     def wait_for(self, condition: Callable[[], Any], timeout: float, what: str) -> Any:
         """The first true value of `condition`; fails the test after `timeout` [s]."""
+        return self.poll(condition, timeout) or pytest.fail(f"not within {timeout} s: {what}")
+
+    def poll(self, condition: Callable[[], Any], timeout: float) -> Any:
+        """The first true value of `condition`; None after `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
-            value = condition()
-            if value:
+            if value := condition():
                 return value
             time.sleep(0.01)
-        pytest.fail(f"not within {timeout} s: {what}")
+        return None
 
     def call(self, name: str, kind: Any, request: Any, timeout: float = 20.0) -> Any:
-        """The answer of a service."""
+        """The answer of a service, asked every 5 s.
+
+        A reply is lost when the server has not discovered the client's reader yet.
+        """
         client = self.node.create_client(kind, name)
         assert client.wait_for_service(timeout), f"service {name} is not there"
-        future = client.call_async(request)
-        self.wait_for(future.done, timeout, f"answer of {name}")
+        asked: list[Any] = []
+
+        def answer() -> Any:
+            if time.monotonic() - start >= 5.0 * len(asked):
+                asked.append(client.call_async(request))
+            return next((future for future in asked if future.done()), None)
+
+        start = time.monotonic()
+        future = self.wait_for(answer, timeout, f"answer of {name}")
         self.node.destroy_client(client)
         return future.result()
 
@@ -91,9 +107,10 @@ def probe() -> Iterator[Probe]:
 
 
 @pytest.fixture
-def graph(tmp_path: Any) -> Iterator[Any]:
+def graph(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
     """Processes of the graph; all of them are ended after the test."""
     from codesign_bringup.bringup import Graph
 
+    request.node.stash[LOG_FOLDER] = tmp_path / "logs"
     with Graph(tmp_path / "logs", quiet=True) as graph:
         yield graph

@@ -113,8 +113,21 @@ class FakeArm:
         answer = self.probe.call("/policy/start", Trigger, Trigger.Request())
         assert answer.success, answer.message
 
-    def until_moving(self) -> None:
-        self.probe.wait_for(lambda: self.speed() > 0.03, 20.0, "the arm moves")
+    def set_moving(self) -> None:
+        """Enables, starts the policy and waits for motion.
+
+        A busy machine can starve this stand-in until the controller rightly calls it a fault;
+        then its operator resets and tries again.
+        """
+        from std_srvs.srv import Trigger
+
+        for _ in range(4):
+            self.enable()
+            self.start_policy()
+            if self.probe.poll(lambda: self.speed() > 0.03, 8.0):
+                return
+            self.probe.call("/cartesian_controller/reset_fault", Trigger, Trigger.Request())
+        pytest.fail("the arm does not move")
 
     def commands_since(self, when: float) -> list[Any]:
         """Joint commands that arrived after a monotonic time."""

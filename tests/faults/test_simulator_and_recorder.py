@@ -126,6 +126,7 @@ def test_recorder_says_what_it_cannot_do(graph: Any, probe: Any, tmp_path: Path)
     assert not start("").success
 
     assert start(tmp_path / "bag").success
+    assert start(tmp_path / "bag").success  # asked again, as after a lost answer
     second = start(tmp_path / "other")
     assert not second.success
     assert "already recording" in second.message

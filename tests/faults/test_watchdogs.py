@@ -19,9 +19,7 @@ POLICY_RUNNING, POLICY_FAULT = 1, 3
 def moving(arm: FakeArm, graph: Any) -> tuple[FakeArm, dict[str, Any]]:
     """Controller and policy as processes, the arm on its way to the block."""
     children = {name: graph.start(name) for name in ("cartesian_controller", "policy")}
-    arm.enable()
-    arm.start_policy()
-    arm.until_moving()
+    arm.set_moving()
     return arm, children
 
 

@@ -98,10 +98,13 @@ class TrialRecorder(LeanNode):
     def _on_start(
         self, request: StartRecording.Request, response: StartRecording.Response
     ) -> StartRecording.Response:
-        if self._bag is not None:
-            response.message = f"already recording {self._bag.path}: call ~/stop first"
-            return response
         path = Path(request.uri)
+        if self._bag is not None:
+            # Asked again for the same bag, because the first answer was lost: all is well.
+            response.success = self._bag.path == path
+            advice = "" if response.success else ": call ~/stop first"
+            response.message = f"already recording {self._bag.path}{advice}"
+            return response
         if path.exists() or not path.name:
             response.message = f"bag {request.uri!r}: exists already, choose a new folder"
             return response

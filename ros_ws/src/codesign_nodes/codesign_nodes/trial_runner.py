@@ -279,14 +279,24 @@ class TrialRunner(LeanNode):
                 raise TrialError(f"service {name} is not there after {self._startup_timeout} s")
             patience -= 0.1
             await self._sleep(0.1)
+        # A reply is lost when the server has not discovered the client's reader yet: ask twice.
+        # Every service called here may be asked again.
+        response = await self._ask(client, request) or await self._ask(client, request)
+        if response is None:
+            raise TrialError(
+                f"service {name} did not answer within 2 x {self._service_timeout} s: "
+                "see that node's log, or raise service_timeout"
+            )
+        if not response.success:
+            raise TrialError(f"{name}: {response.message}")
+        return response
+
+    async def _ask(self, client: Any, request: Any) -> Any:
+        """The answer, or None after the service timeout."""
         future = client.call_async(request)
         timer = self.create_timer(self._service_timeout, future.cancel, clock=steady_clock())
         response = await future
         self.destroy_timer(timer)
-        if response is None:
-            raise TrialError(f"service {name} did not answer within {self._service_timeout} s")
-        if not response.success:
-            raise TrialError(f"{name}: {response.message}")
         return response
 
     async def _sleep(self, duration: float) -> None:
