@@ -14,9 +14,10 @@ from codesign_sim.mesh import SurfaceMesh
 from codesign_sim.surface_queries import BAND, SurfaceQueries, queries_of, spread_samples
 
 SPACING = 1e-3  # metres; edges sharper than this are rounded to about it
-# Walls thinner than this many cells are weak or invisible: between two cells' corners 1 mm apart
-# a wall of 1.5 mm is still seen 0.25 mm deep, one below 1 mm perhaps not at all.
-THINNEST = 1.5
+# Metres; a soft block may pass through thinner walls. Contact pushes a point out to the nearest
+# side, so a wall must be thicker than twice the depth (0.5 mm under a lip that carries the tofu)
+# and a cell; below 1 mm the grid may not show it at all.
+THINNEST = 2.5e-3
 _VERSION = 1  # of what is baked; raise it whenever equal meshes would give another result
 _MARGIN_CELLS = 2
 _LARGEST = 20_000_000  # cells; 80 MB
@@ -33,7 +34,7 @@ class DistanceGrid:
         origin: (3,) metres, of the first value.
         spacing: metres.
         values: metres; exact within 3 mm of the surface, beyond that only growing.
-        thin_area: surface in m^2 of walls thinner than `THINNEST` cells, both faces counted.
+        thin_area: surface in m^2 of walls thinner than `THINNEST`, both faces counted.
         thinnest: thickness in metres of the thinnest of them; infinite where there are none.
         thin_place: (3,) metres, where that is.
     """
@@ -114,7 +115,7 @@ def _bake(mesh: SurfaceMesh, spacing: float) -> DistanceGrid:
     surface = queries_of(mesh)
     distance, side = surface.nearest(points)
     signed = _everywhere(side, distance.reshape(shape[::-1]), spacing, surface, points)
-    thin = _thin_walls(mesh, surface, THINNEST * spacing)
+    thin = _thin_walls(mesh, surface)
     return DistanceGrid(low, spacing, signed.astype(np.float32), *thin)
 
 
@@ -150,10 +151,8 @@ def _beyond_band(distance: np.ndarray, spacing: float) -> np.ndarray:
     return np.where(beyond, distance[tuple(nearest)] + way, distance)
 
 
-def _thin_walls(
-    mesh: SurfaceMesh, surface: SurfaceQueries, least: float
-) -> tuple[float, float, np.ndarray]:
-    """Area of walls thinner than `least`, their least thickness, and where that is.
+def _thin_walls(mesh: SurfaceMesh, surface: SurfaceQueries) -> tuple[float, float, np.ndarray]:
+    """Area of walls thinner than `THINNEST`, their least thickness, and where that is.
 
     Thickness is measured along rays from the surface straight inwards, to a face that looks the
     other way: the sharp edge of a block is not a wall, that of a knife is.
@@ -162,7 +161,7 @@ def _thin_walls(
     normals = mesh.normals_by_area / np.linalg.norm(mesh.normals_by_area, axis=1, keepdims=True)
     skin = 1e-6  # metres, to leave the face itself behind
     inwards = -normals[face]
-    thickness, behind = surface.first_hits(points + skin * inwards, inwards, least)
+    thickness, behind = surface.first_hits(points + skin * inwards, inwards, THINNEST - 2 * skin)
     facing = np.einsum("ij,ij->i", normals[face], normals[behind])
     thin = (behind >= 0) & (facing < _OPPOSITE)
     if not thin.any():

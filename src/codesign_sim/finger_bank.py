@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from codesign_sim.closing import closing_limit
-from codesign_sim.distance import SPACING, THINNEST, DistanceGrid, bake
+from codesign_sim.distance import THINNEST, DistanceGrid, bake
 from codesign_sim.layout import Layout
 from codesign_sim.mesh import SurfaceMesh
 
@@ -104,9 +104,8 @@ class FingerBank:
                     place = ", ".join(f"{v * 1e3:.1f}" for v in np.asarray(grid.thin_place))
                     warnings.warn(
                         f"{name} finger has {grid.thin_area * 1e6:.0f} mm^2 of walls thinner than "
-                        f"{THINNEST * SPACING * 1e3:g} mm (thinnest {grid.thinnest * 1e3:.2f} mm, "
-                        f"at {place} mm): the {SPACING * 1e3:g} mm grid makes them weaker or does "
-                        "not see them; make them thicker",
+                        f"{THINNEST * 1e3:g} mm (thinnest {grid.thinnest * 1e3:.2f} mm, at "
+                        f"{place} mm): the block may pass through them; make them thicker",
                         stacklevel=4,
                     )
 

@@ -45,8 +45,9 @@ class ContactForces:
 
     Attributes:
         left, right, table: (E, 3).
-        finger_penetration: (E,) deepest point below a finger's surface at the end, metres.
-        table_penetration: (E,) deepest point below the table, metres.
+        finger_penetration: (E,) deepest contact point below a finger's surface at the end, metres;
+            between the points a sharp edge cuts up to 0.7 mm deeper into the block.
+        table_penetration: (E,) deepest contact point below the table, metres.
     """
 
     left: np.ndarray
@@ -146,7 +147,7 @@ class Simulator:
         Raises:
             ValueError: wrong indices, or as many meshes as neither one nor K.
         Warns:
-            UserWarning: walls too thin for the distance grid.
+            UserWarning: walls so thin that the block may pass through them.
         """
         every = environments is None
         chosen = np.arange(self.environments)

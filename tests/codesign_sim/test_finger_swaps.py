@@ -89,8 +89,8 @@ def test_environments_are_checked(pads):
         simulator.set_fingers([pads[0]] * 2, pads[1], environments=[1])
 
 
-@pytest.mark.parametrize(("thickness", "thin"), [(0.3e-3, True), (1.4e-3, True), (1.6e-3, False)])
-def test_walls_too_thin_for_the_grid_are_told(thickness, thin):
+@pytest.mark.parametrize(("thickness", "thin"), [(0.3e-3, True), (2.4e-3, True), (2.6e-3, False)])
+def test_walls_too_thin_for_contact_are_told(thickness, thin):
     blade = SurfaceMesh.box((-0.01, 0.0, -0.02), (0.01, thickness, 0.02))
     mirrored = SurfaceMesh.box((-0.01, -thickness, -0.02), (0.01, 0.0, 0.02))
     with warnings.catch_warnings(record=True) as caught:
