@@ -11,7 +11,7 @@ import warp as wp
 wp.config.log_level = 40
 
 _NATIVE = Path(__file__).parent / "native"
-_HEADERS = ["lanes.h", "elements.h", "contact.h", "fem.h"]
+_HEADERS = ["vec3.h", "team.h", "lanes.h", "elements.h", "contact.h", "fem.h"]
 
 # Environments per vector that the kernels are compiled for. With 1 a vector holds neighbouring
 # items of one environment, with 8 it holds eight environments.
@@ -32,12 +32,14 @@ SETTINGS = (
     "contact_stiffness",
     "obstacle_bits",
     "finger_speed",
-    "near_margin",
+    "contact_skin",
 )
 
 wp.set_module_options(
     {
         "enable_backward": False,
+        # Contraction to fused multiply-adds, which Warp's default leaves out.
+        "cpu_compiler_flags": "-march=native -ffp-contract=fast -mprefer-vector-width=512",
         "extra_build_options": wp.ModuleBuildOptions(
             extra_cpu_include_dirs=[str(_NATIVE)],
             extra_cpu_preamble='#include "fem.h"\n',
@@ -65,6 +67,8 @@ class Scene:
     triangle_areas: wp.array[wp.float32]
     node_order: wp.array[wp.int32]
     node_constants: wp.array[wp.float32]
+    corner_starts: wp.array[wp.int32]
+    corners: wp.array[wp.int32]
     # per environment
     materials: wp.array[wp.float32]
     grids: wp.array[wp.float32]
@@ -76,6 +80,7 @@ class Scene:
     velocities: wp.array[wp.float32]
     ahead: wp.array[wp.float32]
     forces: wp.array[wp.float32]
+    corner_forces: wp.array[wp.float32]
     loads: wp.array[wp.float32]
     centres: wp.array[wp.float32]
     anchors: wp.array[wp.float32]

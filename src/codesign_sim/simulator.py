@@ -32,6 +32,7 @@ STIFFNESS_DAMPING = 2e-4  # s, beta: forces are evaluated at x + beta v
 MASS_DAMPING = 20.0  # 1/s, of the motion relative to the best rigid motion
 SAFETY = 0.8  # default time step, as a share of the stability limit
 CELL_SHARE = 0.4  # of a cell, the farthest a node may move in a step
+CONTACT_SKIN = 1e-3  # m that points travel before what is near an obstacle is found anew
 FINGER_TRAVEL = 1e-3  # m per step, the cell of the fingers' distance grid
 SETTLE_TIME = 0.25  # s
 SETTLE_DAMPING = 150.0  # 1/s, about critical for the slowest vibration of the tofu
@@ -383,7 +384,6 @@ class Simulator:
     def _settings(
         self, dt: float, damping: float, about_rigid: bool, obstacles: int, finger_speed: float
     ) -> dict[str, float]:
-        largest_cell = float(np.max(np.array(self.block.size) / self.block.cells))
         return {
             "time_step": dt,
             "stiffness_damping": self.stiffness_damping,
@@ -396,8 +396,7 @@ class Simulator:
             "contact_stiffness": self.contact_stiffness,
             "obstacle_bits": obstacles,
             "finger_speed": finger_speed,
-            # Contact is looked for by the first corner of a triangle: its longest edge, and some.
-            "near_margin": 1.5 * largest_cell + 1e-3,
+            "contact_skin": CONTACT_SKIN,
         }
 
     def _finger_speed(

@@ -13,6 +13,9 @@ constexpr int GRID = 8;  // origin (3), cells per metre, size in cells (3), unus
 constexpr int GRID_INDEX = 3;  // offset in the pool, stride of y, stride of z
 constexpr int REPORT = 4;  // force on the object (3), deepest penetration
 
+// A trilinear distance changes by at most sqrt(3) times the way; and some for rounding.
+constexpr float STEEPEST = 1.75f;
+
 // What scene.settings holds; the same order as SETTINGS in kernels.py.
 enum Setting {
     SUBSTEPS,
@@ -27,7 +30,7 @@ enum Setting {
     CONTACT_STIFFNESS,
     OBSTACLE_BITS,  // which obstacles are there
     FINGER_SPEED,
-    NEAR_MARGIN
+    CONTACT_SKIN  // distance that points travel between two markings of what is near
 };
 
 template <class F> struct Rigid {
@@ -36,11 +39,12 @@ template <class F> struct Rigid {
 };
 
 template <int L> CODESIGN_INLINE Rigid<typename Lanes<L>::F> load_pose(const float* p) {
-    Rigid<typename Lanes<L>::F> pose;
+    typedef Lanes<L> W;
+    constexpr int E = W::environments;
+    Rigid<typename W::F> pose;
     for (int k = 0; k < 9; ++k)
-        pose.r[k] = Lanes<L>::environment(p + k * L);
-    pose.t = { Lanes<L>::environment(p + 9 * L), Lanes<L>::environment(p + 10 * L),
-        Lanes<L>::environment(p + 11 * L) };
+        pose.r[k] = W::environment(p + k * E);
+    pose.t = { W::environment(p + 9 * E), W::environment(p + 10 * E), W::environment(p + 11 * E) };
     return pose;
 }
 template <class F> CODESIGN_INLINE Vec3<F> into(const Rigid<F>& pose, Vec3<F> p) {
@@ -71,44 +75,68 @@ template <int L> struct DistanceGrid {
     I offset, stride_y, stride_z;
 
     CODESIGN_INLINE DistanceGrid load(const float* pool, const float* g, const int* i) {
-        return { pool, { W::environment(g), W::environment(g + L), W::environment(g + 2 * L) },
-            { W::environment(g + 4 * L), W::environment(g + 5 * L), W::environment(g + 6 * L) },
-            W::environment(g + 3 * L), W::environment(i), W::environment(i + L),
-            W::environment(i + 2 * L) };
+        constexpr int E = W::environments;
+        return { pool, { W::environment(g), W::environment(g + E), W::environment(g + 2 * E) },
+            { W::environment(g + 4 * E), W::environment(g + 5 * E), W::environment(g + 6 * E) },
+            W::environment(g + 3 * E), W::environment(i), W::environment(i + E),
+            W::environment(i + 2 * E) };
     }
 
-    // Trilinear signed distance and its gradient; outside the grid there is no contact.
-    CODESIGN_INLINE Surface<F> sample(const DistanceGrid& grid, Vec3<F> p) {
-        const F zero = W::broadcast(0.0f), one = W::broadcast(1.0f);
-        const Vec3<F> u = grid.per_metre * (p - grid.origin);
-        // Written so that a position that is not a number counts as outside, too.
-        const auto inside = (u.x >= 0.0f) & (u.y >= 0.0f) & (u.z >= 0.0f) & (u.x < grid.size.x)
-            & (u.y < grid.size.y) & (u.z < grid.size.z);
-        if (!any(inside))
-            return { zero - 1.0f, { zero, zero, zero } };
-        const Vec3<F> v = { inside ? u.x : zero, inside ? u.y : zero, inside ? u.z : zero };
-        const I ix = __builtin_convertvector(v.x, I), iy = __builtin_convertvector(v.y, I);
-        const I iz = __builtin_convertvector(v.z, I);
-        const F tx = v.x - __builtin_convertvector(ix, F);
-        const F ty = v.y - __builtin_convertvector(iy, F);
-        const F tz = v.z - __builtin_convertvector(iz, F);
+    CODESIGN_INLINE Vec3<F> cells(const DistanceGrid& grid, Vec3<F> p) {
+        return grid.per_metre * (p - grid.origin);
+    }
+
+    // Trilinear signed distance, as a depth, and its gradient, `u` cells from the grid's origin
+    // (in the grid).
+    CODESIGN_INLINE Surface<F> interpolate(const DistanceGrid& grid, Vec3<F> u) {
+        const F one = W::broadcast(1.0f), tiny = W::broadcast(1e-20f);
+        const I ix = W::whole(u.x), iy = W::whole(u.y), iz = W::whole(u.z);
+        const F tx = u.x - W::real(ix), ty = u.y - W::real(iy), tz = u.z - W::real(iz);
         const I at = grid.offset + ix + grid.stride_y * iy + grid.stride_z * iz;
+        const I edges[4] = { at, at + grid.stride_y, at + grid.stride_z,
+            at + grid.stride_y + grid.stride_z };
         F mean[4], slope[4];  // along x, on the four edges (y, z) of the cell
         for (int k = 0; k < 4; ++k) {
-            const I edge = at + (k & 1 ? grid.stride_y : grid.stride_y * 0)
-                + (k & 2 ? grid.stride_z : grid.stride_z * 0);
-            const F low = W::gather(grid.pool, edge), high = W::gather(grid.pool, edge + 1);
-            slope[k] = high - low;
+            const F low = W::gather(grid.pool, edges[k]);
+            slope[k] = W::gather(grid.pool, edges[k] + 1) - low;
             mean[k] = low + tx * slope[k];
         }
         const F low = mean[0] + ty * (mean[1] - mean[0]), high = mean[2] + ty * (mean[3] - mean[2]);
         const F sx = slope[0] + ty * (slope[1] - slope[0]);
         const F sxh = slope[2] + ty * (slope[3] - slope[2]);
-        Vec3<F> n = { sx + tz * (sxh - sx),
+        const Vec3<F> n = { sx + tz * (sxh - sx),
             (mean[1] - mean[0]) + tz * ((mean[3] - mean[2]) - (mean[1] - mean[0])), high - low };
-        n = (one / root(max(dot(n, n), zero + 1e-20f))) * n;
-        const F depth = -(low + tz * (high - low));
-        return { inside ? depth : zero - 1.0f, n };
+        return { -(low + tz * (high - low)), (one / root(max(dot(n, n), tiny))) * n };
+    }
+
+    // Outside the grid there is no contact.
+    CODESIGN_INLINE Surface<F> sample(const DistanceGrid& grid, Vec3<F> p) {
+        const F zero = W::broadcast(0.0f);
+        const Vec3<F> u = cells(grid, p);
+        // Written so that a position that is not a number counts as outside, too.
+        const auto inside = (u.x >= 0.0f) & (u.y >= 0.0f) & (u.z >= 0.0f) & (u.x < grid.size.x)
+            & (u.y < grid.size.y) & (u.z < grid.size.z);
+        if (!any(inside))
+            return { zero - 1.0f, { zero, zero, zero } };
+        const Surface<F> s = interpolate(grid,
+            { inside ? u.x : zero, inside ? u.y : zero, inside ? u.z : zero });
+        return { inside ? s.depth : zero - 1.0f, s.normal };
+    }
+
+    // Whether a point can get below the surface by travelling less than `margin`.
+    CODESIGN_INLINE bool reaches(const DistanceGrid& grid, Vec3<F> p, F margin) {
+        const F zero = W::broadcast(0.0f);
+        const Vec3<F> u = cells(grid, p);
+        const F m = grid.per_metre * margin;
+        const auto around = (u.x > -m) & (u.y > -m) & (u.z > -m) & (u.x < grid.size.x + m)
+            & (u.y < grid.size.y + m) & (u.z < grid.size.z + m);
+        if (!any(around))
+            return false;
+        const F last = zero + 1e-3f;  // keeps to the last cell
+        const Vec3<F> v = { min(max(u.x, zero), grid.size.x - last),
+            min(max(u.y, zero), grid.size.y - last), min(max(u.z, zero), grid.size.z - last) };
+        const Vec3<F> within = { around ? v.x : zero, around ? v.y : zero, around ? v.z : zero };
+        return any(around & (interpolate(grid, within).depth > -STEEPEST * margin));
     }
 };
 
@@ -148,127 +176,169 @@ CODESIGN_INLINE Vec3<typename Lanes<L>::F> contact_force(Vec3<typename Lanes<L>:
 template <int L> struct Obstacle {
     typedef Lanes<L> W;
     typedef typename W::F F;
-    bool finger;
+    bool finger, present;
     Rigid<F> pose;
     DistanceGrid<L> grid;
     float* anchors;  // [triangle item][quadrature point][ANCHOR][width]
 
     template <class Scene>
     CODESIGN_INLINE Obstacle load(const Scene& scene, int group, int o, const float* poses) {
+        constexpr int E = W::environments;
         const bool finger = o != TABLE;
         const int side = finger ? o : 0;
         const size_t f = (size_t)group * 2 + side;
         const size_t anchors = ((size_t)group * OBSTACLES + o) * scene.triangle_items;
-        return { finger, load_pose<L>(poses + side * POSE * L),
-            DistanceGrid<L>::load(scene.grids.data, scene.grid_frames.data + f * GRID * L,
-                scene.grid_indices.data + f * GRID_INDEX * L),
+        return { finger, (int(scene.settings.data[OBSTACLE_BITS]) >> o & 1) != 0,
+            load_pose<L>(poses + side * POSE * E),
+            DistanceGrid<L>::load(scene.grids.data, scene.grid_frames.data + f * GRID * E,
+                scene.grid_indices.data + f * GRID_INDEX * E),
             scene.anchors.data + anchors * QUADRATURE * ANCHOR * W::width };
     }
 
-    CODESIGN_INLINE float* anchor(const Obstacle& o, int triangle, int point) {
-        return o.anchors + ((size_t)triangle * QUADRATURE + point) * ANCHOR * W::width;
+    // Anchor of a triangle's first point; the next is ANCHOR * width further on.
+    CODESIGN_INLINE float* anchor(const Obstacle& o, int triangle) {
+        return W::state(o.anchors, triangle, QUADRATURE * ANCHOR);
     }
 
-    // Whether a point of the world is within `margin` of where contact can be.
+    // Whether a point of the world can come to touch by travelling less than `margin`.
     CODESIGN_INLINE bool reaches(const Obstacle& o, Vec3<F> p, F margin) {
         if (!o.finger)
             return any(p.z < margin);
-        const Vec3<F> q = into(o.pose, p) - o.grid.origin;
-        const Vec3<F> high = (1.0f / o.grid.per_metre) * o.grid.size;
-        return any((q.x > -margin) & (q.y > -margin) & (q.z > -margin) & (q.x < high.x + margin)
-            & (q.y < high.y + margin) & (q.z < high.z + margin));
+        return DistanceGrid<L>::reaches(o.grid, into(o.pose, p), margin);
     }
 
     // Force on a point of the world, and how deep it is (negative outside).
     CODESIGN_INLINE Vec3<F> push(const Obstacle& o, Vec3<F> p, F stiffness, F friction,
         float* anchor, F& depth) {
         const F zero = W::broadcast(0.0f), one = W::broadcast(1.0f);
-        if (!o.finger) {
-            const Surface<F> s = { zero - p.z, { zero, zero, one } };
-            depth = s.depth;
-            return contact_force<L>(p, s, stiffness, friction, anchor);
-        }
-        const Vec3<F> local = into(o.pose, p);
-        const Surface<F> s = DistanceGrid<L>::sample(o.grid, local);
+        const Vec3<F> local = o.finger ? into(o.pose, p) : p;
+        Surface<F> s = { zero - p.z, { zero, zero, one } };
+        if (o.finger)
+            s = DistanceGrid<L>::sample(o.grid, local);
         depth = s.depth;
-        if (any(s.depth > zero))
-            return turn(o.pose, contact_force<L>(local, s, stiffness, friction, anchor));
+        if (any(s.depth > zero)) {
+            const Vec3<F> force = contact_force<L>(local, s, stiffness, friction, anchor);
+            return o.finger ? turn(o.pose, force) : force;
+        }
         W::store(anchor + 3 * W::width, zero);
         return { zero, zero, zero };
     }
 };
 
-// Adds the contact forces to the nodes and to `impulse`, and notes the greatest depths.
-template <int L, class Scene>
-CODESIGN_INLINE void add_contact_forces(const Scene& scene, int group, const float* x,
-    const float* v, const float* poses, float* force, float* impulse, float* deepest) {
+// Contact forces summed over the steps, and the depths at the last one.
+template <int L> struct Ledger {
+    Vec3<typename Lanes<L>::F> impulse[OBSTACLES];
+    typename Lanes<L>::F deepest[OBSTACLES];
+};
+
+// Corners of a surface triangle and its three quadrature points, at (2/3, 1/6, 1/6) and so on.
+template <int L> struct Triangle {
     typedef Lanes<L> W;
     typedef typename W::F F;
-    constexpr int C = W::copies, V = W::width;
+    const int* node;  // three times W::copies
+    F area;
+    Vec3<F> points[QUADRATURE];
+
+    // A time beta ahead of positions x moving at v.
+    template <class Scene>
+    CODESIGN_INLINE Triangle load(
+        const Scene& scene, int t, const float* x, const float* v, F beta) {
+        constexpr int C = W::copies;
+        const F half = W::broadcast(0.5f), sixth = W::broadcast(1.0f / 6.0f);
+        Triangle a;
+        a.node = W::constants(scene.triangle_nodes.data, t, 3);
+        a.area = W::item(W::constants(scene.triangle_areas.data, t, 1));
+        Vec3<F> corner[3];
+        for (int c = 0; c < 3; ++c)
+            corner[c] = Nodes<L>::load(x, a.node + c * C)
+                + beta * Nodes<L>::load(v, a.node + c * C);
+        const Vec3<F> middle = sixth * (corner[0] + corner[1] + corner[2]);
+        for (int q = 0; q < QUADRATURE; ++q)
+            a.points[q] = half * corner[q] + middle;
+        return a;
+    }
+};
+
+// Gives the contact forces of the triangles near an obstacle to their corners, and enters them.
+// Looking a time beta ahead damps the contact against the moving obstacle.
+template <int L, class Scene>
+CODESIGN_INLINE void give_contact_forces(const Scene& scene, int group, const float* x,
+    const float* v, const float* poses, const Forces& forces, Ledger<L>& ledger) {
+    typedef Lanes<L> W;
+    typedef typename W::F F;
+    constexpr int C = W::copies;
     const F zero = W::broadcast(0.0f), half = W::broadcast(0.5f), sixth = W::broadcast(1.0f / 6.0f);
     const F beta = W::broadcast(scene.settings.data[STIFFNESS_DAMPING]);
-    const F friction = W::environment(scene.materials.data + ((size_t)group * 4 + 3) * L);
+    const F friction
+        = W::environment(scene.materials.data + ((size_t)group * 4 + 3) * W::environments);
     const float per_area = scene.settings.data[CONTACT_STIFFNESS] / QUADRATURE;
-    const int* near = scene.near_obstacle.data + (size_t)group * scene.triangle_items;
+    const int triangles = W::count(scene.triangle_items);
+    const int* near = scene.near_obstacle.data + (size_t)group * triangles;
+    Obstacle<L> obstacles[OBSTACLES];
     for (int o = 0; o < OBSTACLES; ++o) {
-        const auto obstacle = Obstacle<L>::load(scene, group, o, poses);
-        Vec3<F> sum = { zero, zero, zero };
-        F greatest = zero;
-        for (int t = 0; t < scene.triangle_items; ++t) {
+        obstacles[o] = Obstacle<L>::load(scene, group, o, poses);
+        ledger.deepest[o] = zero;
+    }
+    for (int t = W::first(); t < triangles; t += W::stride()) {
+        if (!near[t])
+            continue;
+        const auto triangle = Triangle<L>::load(scene, t, x, v, beta);
+        const Vec3<F> none = { zero, zero, zero };
+        Vec3<F> push[QUADRATURE] = { none, none, none };
+        for (int o = 0; o < OBSTACLES; ++o) {
             if (!(near[t] & (1 << o)))
                 continue;
-            const int* node = scene.triangle_nodes.data + (size_t)t * 3 * C;
-            const F area = W::item(scene.triangle_areas.data + (size_t)t * C);
-            Vec3<F> corner[3], share[3];
-            for (int c = 0; c < 3; ++c) {
-                // A time beta ahead, which damps the contact against the moving obstacle.
-                corner[c] = Nodes<L>::load(x, node + c * C)
-                    + beta * Nodes<L>::load(v, node + c * C);
-                share[c] = { zero, zero, zero };
-            }
-            const Vec3<F> middle = sixth * (corner[0] + corner[1] + corner[2]);
-            for (int q = 0; q < QUADRATURE; ++q) {  // at (2/3, 1/6, 1/6) and so on
+            float* anchor = Obstacle<L>::anchor(obstacles[o], t);
+            Vec3<F> sum = none;
+            for (int q = 0; q < QUADRATURE; ++q, anchor += ANCHOR * W::width) {
                 F depth;
-                const Vec3<F> f = Obstacle<L>::push(obstacle, half * corner[q] + middle,
-                    per_area * area, friction, Obstacle<L>::anchor(obstacle, t, q), depth);
-                greatest = max(greatest, area > zero ? depth : zero);
+                const Vec3<F> f = Obstacle<L>::push(obstacles[o], triangle.points[q],
+                    per_area * triangle.area, friction, anchor, depth);
+                ledger.deepest[o] = max(ledger.deepest[o], triangle.area > zero ? depth : zero);
+                push[q] = push[q] + f;
                 sum = sum + f;
-                for (int c = 0; c < 3; ++c)
-                    share[c] = share[c] + sixth * f;
-                share[q] = share[q] + half * f;
             }
-            for (int c = 0; c < 3; ++c)
-                Nodes<L>::add(force, node + c * C, share[c]);
+            ledger.impulse[o] = ledger.impulse[o] + sum;
         }
-        float* total = impulse + o * 3 * V;
-        W::store(total, W::load(total) + sum.x);
-        W::store(total + V, W::load(total + V) + sum.y);
-        W::store(total + 2 * V, W::load(total + 2 * V) + sum.z);
-        W::store(deepest + o * V, greatest);
+        const Vec3<F> even = sixth * (push[0] + push[1] + push[2]);
+        float* corners = W::corners(forces.triangles, t, 3);
+        for (int c = 0; c < 3; ++c)
+            Nodes<L>::give(
+                forces, corners + c * 3 * C, triangle.node + c * C, even + half * push[c]);
     }
 }
 
-// Marks the triangles that can reach an obstacle before the next marking: the first corner within
-// `margin`, which covers a triangle's size. Triangles that are not marked drop their anchors.
+// Marks the triangles that can touch an obstacle before any node or finger has travelled by
+// `margin`. Triangles no longer marked lose their anchors, and the forces left at their corners.
 template <int L, class Scene>
 CODESIGN_INLINE void mark_near(const Scene& scene, int group, const float* x, const float* poses,
-    typename Lanes<L>::F margin) {
+    const Forces& forces, typename Lanes<L>::F margin) {
     typedef Lanes<L> W;
-    int* near = scene.near_obstacle.data + (size_t)group * scene.triangle_items;
-    for (int t = 0; t < scene.triangle_items; ++t)
-        near[t] = 0;
-    for (int o = 0; o < OBSTACLES; ++o) {
-        const bool present = int(scene.settings.data[OBSTACLE_BITS]) >> o & 1;
-        const auto obstacle = Obstacle<L>::load(scene, group, o, poses);
-        for (int t = 0; t < scene.triangle_items; ++t) {
-            const int* node = scene.triangle_nodes.data + (size_t)t * 3 * W::copies;
-            if (present && Obstacle<L>::reaches(obstacle, Nodes<L>::load(x, node), margin))
-                near[t] |= 1 << o;
-            else
+    typedef typename W::F F;
+    const F zero = W::broadcast(0.0f);
+    const int triangles = W::count(scene.triangle_items);
+    int* near = scene.near_obstacle.data + (size_t)group * triangles;
+    Obstacle<L> obstacles[OBSTACLES];
+    for (int o = 0; o < OBSTACLES; ++o)
+        obstacles[o] = Obstacle<L>::load(scene, group, o, poses);
+    for (int t = W::first(); t < triangles; t += W::stride()) {
+        const auto triangle = Triangle<L>::load(scene, t, x, x, zero);
+        int now = 0;
+        for (int o = 0; o < OBSTACLES; ++o) {
+            for (int q = 0; q < QUADRATURE && obstacles[o].present && !(now >> o & 1); ++q)
+                now |= Obstacle<L>::reaches(obstacles[o], triangle.points[q], margin) << o;
+            if (near[t] & ~now & (1 << o)) {
+                float* anchor = Obstacle<L>::anchor(obstacles[o], t);
                 for (int q = 0; q < QUADRATURE; ++q)
-                    W::store(Obstacle<L>::anchor(obstacle, t, q) + 3 * W::width,
-                        W::broadcast(0.0f));
+                    W::store(anchor + (q * ANCHOR + 3) * W::width, zero);
+            }
         }
+        if (near[t] && !now) {
+            float* corners = W::corners(forces.triangles, t, 3);
+            for (int c = 0; c < 3; ++c)
+                Nodes<L>::withdraw(corners + c * 3 * W::copies);
+        }
+        near[t] = now;
     }
 }
 

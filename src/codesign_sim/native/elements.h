@@ -19,11 +19,14 @@ template <class F> CODESIGN_INLINE Mat3<F> from_rows(Vec3<F> p, Vec3<F> q, Vec3<
     return { { p.x, p.y, p.z, q.x, q.y, q.z, r.x, r.y, r.z } };
 }
 
-constexpr float NEARLY_FLAT = 0.02f;  // below this volume ratio Newton's iteration is not safe
-// Squared last step of Newton's iteration. The error left, half of it, is a symmetric stretch by
-// 5e-6: 0.03 Pa at E = 9 kPa, and no torque.
-constexpr float ROTATION_STEP2 = 1e-5f;
-constexpr int NEWTON_STEPS = 8;
+constexpr float NEARLY_FLAT = 0.02f;  // volume ratio that the true stress divides by at least
+// The rotation below is safe while (s1 + s2)(s2 + s3)(s3 + s1) / (s1 + s2 + s3)^3, 0.3 at rest, is
+// above this, s being the principal stretches and the smallest one negative if mirrored.
+constexpr float NEARLY_DOUBLE = 0.005f;
+// Newton's step on the sum of the stretches, relative to it, that is taken for the last: it leaves
+// an error of its square.
+constexpr float LAST_STEP = 2e-4f;
+constexpr int MORE_STEPS = 12;
 constexpr int FLAT_STEPS = 24;
 
 // The rotation nearest to a flat or inverted F: Mueller et al. 2016, "A robust method to extract
@@ -55,42 +58,102 @@ template <class F> CODESIGN_INLINE Mat3<F> robust_rotation(const Mat3<F>& A) {
     }
 }
 
-// Rotation of the polar decomposition F = R S: Newton's iteration R <- (R + R^-T) / 2, which
-// converges quadratically and needs no memory of the last step (a single warm-started step
-// would lose angular momentum).
-template <class F> CODESIGN_INLINE Mat3<F> rotation(const Mat3<F>& A) {
-    Mat3<F> R = A;
-    F det = A.a[0] * 0.0f;
-    const F safe_volume = det + NEARLY_FLAT;
-    F going = safe_volume;  // positive in lanes that need another step, whatever others need
-    for (int step = 0; step < NEWTON_STEPS; ++step) {
-        const Vec3<F> p = row(R, 0), q = row(R, 1), r = row(R, 2);
-        const Mat3<F> cofactor = from_rows(cross(q, r), cross(r, p), cross(p, q));
-        const F volume = dot(p, row(cofactor, 0));
-        if (step == 0)
-            det = volume;
-        const F half = 0.5f / max(volume, safe_volume);
-        F step2 = det * 0.0f;
-        for (int k = 0; k < 9; ++k) {
-            const F next = 0.5f * R.a[k] + half * cofactor.a[k];
-            const F move = next - R.a[k];
-            step2 = step2 + move * move;
-            R.a[k] = step < 2 ? next : (going > 0.0f ? next : R.a[k]);
+// The polar decomposition F = R S by invariants of the stretch S: its trace i, second invariant
+// ii and determinant J solve i^2 = |F|^2 + 2 ii and ii^2 = |cof F|^2 + 2 J i, and the derivative of
+// the trace by F is R = (F ((ii + |F|^2) I - F^T F) + i cof F) / (i ii - J).
+// Whatever error i has, R F^T is symmetric, so that no torque is left. Mirrored elements (J < 0)
+// get the nearest rotation, too. No memory of the last step is needed.
+template <class F> struct Polar {
+    Mat3<F> cofactor;
+    F determinant, squares, minors;  // J, |F|^2, |cof F|^2
+    F trace, second, divisor;  // i, ii, i ii - J
+
+    CODESIGN_INLINE Polar of(const Mat3<F>& A) {
+        const Vec3<F> p = row(A, 0), q = row(A, 1), r = row(A, 2);
+        const Vec3<F> qr = cross(q, r), rp = cross(r, p), pq = cross(p, q);
+        Polar s;
+        s.cofactor = from_rows(qr, rp, pq);
+        s.determinant = dot(p, qr);
+        s.squares = dot(p, p) + dot(q, q) + dot(r, r);
+        s.minors = dot(qr, qr) + dot(rp, rp) + dot(pq, pq);
+        // From above the largest root, (3 + |F|^2) / 2 >= sqrt(3) |F| >= i, Newton's iteration
+        // does not overshoot it. Two steps do for strains of 10 %; a lane that is done then stays
+        // as it is, so that it does not depend on its neighbours.
+        s.trace = 0.5f * s.squares + 1.5f;
+        s.trace = s.trace - excess(s);
+        F down = excess(s);
+        s.trace = s.trace - down;
+        auto going = down > LAST_STEP * s.trace;
+        for (int step = 0; step < MORE_STEPS && any(going); ++step) {
+            down = excess(s);
+            s.trace = s.trace - (going ? down : down * 0.0f);
+            going = going & (down > LAST_STEP * s.trace);
         }
-        if (step > 0) {
-            going = min(going, step2 - ROTATION_STEP2);
-            if (!any(going > 0.0f))
-                break;
+        complete(s);
+        return s;
+    }
+
+    // How far Newton's step goes down from the trace.
+    CODESIGN_INLINE F excess(Polar& s) {
+        complete(s);
+        const F excess = s.second * s.second - s.minors - 2.0f * s.determinant * s.trace;
+        return 0.5f * excess / max(s.divisor, 1e-6f * s.squares * s.trace);
+    }
+
+    // What follows from the trace.
+    CODESIGN_INLINE void complete(Polar& s) {
+        s.second = 0.5f * (s.trace * s.trace - s.squares);
+        s.divisor = s.trace * s.second - s.determinant;
+    }
+
+    // scale F + turn R.
+    CODESIGN_INLINE Mat3<F> combine(const Polar& s, const Mat3<F>& A, F scale, F turn) {
+        const Vec3<F> x = column(A, 0), y = column(A, 1), z = column(A, 2);
+        const F share = turn / s.divisor;
+        const F whole = scale + share * (s.second + s.squares), cofactor = share * s.trace;
+        const F xx = whole - share * dot(x, x), xy = -share * dot(x, y);
+        const F yy = whole - share * dot(y, y), yz = -share * dot(y, z);
+        const F zz = whole - share * dot(z, z), zx = -share * dot(z, x);
+        Mat3<F> M;
+        for (int i = 0; i < 9; i += 3) {
+            const F a = A.a[i], b = A.a[i + 1], c = A.a[i + 2];
+            M.a[i] = a * xx + b * xy + c * zx + cofactor * s.cofactor.a[i];
+            M.a[i + 1] = a * xy + b * yy + c * yz + cofactor * s.cofactor.a[i + 1];
+            M.a[i + 2] = a * zx + b * yz + c * zz + cofactor * s.cofactor.a[i + 2];
         }
+        return M;
     }
-    const auto flat = det < NEARLY_FLAT;
-    if (any(flat)) {
-        const Mat3<F> robust = robust_rotation(A);
-        for (int k = 0; k < 9; ++k)
-            R.a[k] = flat ? robust.a[k] : R.a[k];
+};
+
+// First Piola-Kirchhoff stress P = 2 mu (F - R) + lambda tr(R^T F - I) R, and the rotation R.
+template <class F> struct Elastic {
+    Mat3<F> piola, rotation;
+
+    template <bool WITH_ROTATION>
+    CODESIGN_INLINE Elastic of(const Mat3<F>& A, F mu, F lambda) {
+        const F zero = mu * 0.0f;
+        const Polar<F> s = Polar<F>::of(A);
+        Elastic e;
+        const F turn = lambda * (s.trace - 3.0f) - 2.0f * mu;
+        e.piola = Polar<F>::combine(s, A, 2.0f * mu, turn);
+        if (WITH_ROTATION)
+            e.rotation = Polar<F>::combine(s, A, zero, zero + 1.0f);
+        const auto unsafe = s.divisor < NEARLY_DOUBLE * s.trace * s.squares;
+        if (any(unsafe)) {
+            const Mat3<F> R = robust_rotation(A);
+            F trace = zero - 3.0f;
+            for (int k = 0; k < 9; ++k)
+                trace = trace + R.a[k] * A.a[k];
+            for (int k = 0; k < 9; ++k) {
+                const F safe = 2.0f * mu * (A.a[k] - R.a[k]) + lambda * trace * R.a[k];
+                e.piola.a[k] = unsafe ? safe : e.piola.a[k];
+                if (WITH_ROTATION)
+                    e.rotation.a[k] = unsafe ? R.a[k] : e.rotation.a[k];
+            }
+        }
+        return e;
     }
-    return R;
-}
+};
 
 // Rest shape of a tetrahedron: [10][copies]: inverse rest edge matrix (row major), rest volume.
 constexpr int SHAPE = 10;
@@ -107,19 +170,6 @@ template <class F> CODESIGN_INLINE Mat3<F> deformation(const Vec3<F> x[4], const
     return A;
 }
 
-// First Piola-Kirchhoff stress P = 2 mu (F - R) + lambda tr(R^T F - I) R.
-template <class F>
-CODESIGN_INLINE Mat3<F> piola(const Mat3<F>& A, const Mat3<F>& R, F mu, F lambda) {
-    F trace = A.a[0] * 0.0f - 3.0f;
-    for (int k = 0; k < 9; ++k)
-        trace = trace + R.a[k] * A.a[k];
-    const F pressure = lambda * trace;
-    Mat3<F> P;
-    for (int k = 0; k < 9; ++k)
-        P.a[k] = 2.0f * mu * (A.a[k] - R.a[k]) + pressure * R.a[k];
-    return P;
-}
-
 // One vector of tetrahedra at node positions x.
 template <int L> struct Element {
     typedef Lanes<L> W;
@@ -131,9 +181,9 @@ template <int L> struct Element {
     template <class Scene>
     CODESIGN_INLINE Element load(const Scene& scene, int t, const float* x) {
         constexpr int C = W::copies;
-        const float* shape = scene.tet_shapes.data + (size_t)t * SHAPE * C;
+        const float* shape = W::constants(scene.tet_shapes.data, t, SHAPE);
         Element e;
-        e.node = scene.tet_nodes.data + (size_t)t * 4 * C;
+        e.node = W::constants(scene.tet_nodes.data, t, 4);
         Vec3<F> corner[4];
         for (int c = 0; c < 4; ++c)
             corner[c] = Nodes<L>::load(x, e.node + c * C);
@@ -145,25 +195,28 @@ template <int L> struct Element {
     }
 };
 
+// Gives every tetrahedron's forces to its corners.
 template <int L, class Scene>
-CODESIGN_INLINE void add_elastic_forces(
-    const Scene& scene, int group, const float* x, float* force) {
+CODESIGN_INLINE void give_elastic_forces(
+    const Scene& scene, int group, const float* x, const Forces& forces) {
     typedef Lanes<L> W;
     typedef typename W::F F;
-    constexpr int C = W::copies;
-    const float* material = scene.materials.data + (size_t)group * 4 * L;
-    const F mu = W::environment(material), lambda = W::environment(material + L);
-    for (int t = 0; t < scene.tet_items; ++t) {
+    constexpr int C = W::copies, E = W::environments;
+    const float* material = scene.materials.data + (size_t)group * 4 * E;
+    const F mu = W::environment(material), lambda = W::environment(material + E);
+    for (int t = W::first(); t < W::count(scene.tet_items); t += W::stride()) {
         const Element<L> e = Element<L>::load(scene, t, x);
-        const Mat3<F> P = piola(e.A, rotation(e.A), mu * e.volume, lambda * e.volume);
+        const Mat3<F> P
+            = Elastic<F>::template of<false>(e.A, mu * e.volume, lambda * e.volume).piola;
         Vec3<F> f[4];
         for (int c = 0; c < 3; ++c) {  // f_{1..3} = - V P B^T, by columns
             const Vec3<F> b = { e.B[3 * c], e.B[3 * c + 1], e.B[3 * c + 2] };
             f[c + 1] = { -dot(row(P, 0), b), -dot(row(P, 1), b), -dot(row(P, 2), b) };
         }
         f[0] = W::broadcast(-1.0f) * (f[1] + f[2] + f[3]);
+        float* corners = W::corners(forces.tets, t, 4);
         for (int c = 0; c < 4; ++c)
-            Nodes<L>::add(force, e.node + c * C, f[c]);
+            Nodes<L>::give(forces, corners + c * 3 * C, e.node + c * C, f[c]);
     }
 }
 
@@ -178,14 +231,15 @@ template <class F> CODESIGN_INLINE F von_mises(const Mat3<F>& s) {
 template <int L, class Scene> CODESIGN_INLINE void stress(const Scene& scene, int group) {
     typedef Lanes<L> W;
     typedef typename W::F F;
-    const float* material = scene.materials.data + (size_t)group * 4 * L;
-    const F mu = W::environment(material), lambda = W::environment(material + L);
-    const float* x = scene.positions.data + (size_t)group * scene.node_rows * ROW * L;
-    float* out = scene.stresses.data + (size_t)group * scene.tet_items * 2 * W::width;
-    for (int t = 0; t < scene.tet_items; ++t, out += 2 * W::width) {
+    constexpr int E = W::environments;
+    const float* material = scene.materials.data + (size_t)group * 4 * E;
+    const F mu = W::environment(material), lambda = W::environment(material + E);
+    const float* x = scene.positions.data + (size_t)group * scene.node_rows * ROW * E;
+    float* all = scene.stresses.data + (size_t)group * scene.tet_items * 2 * W::width;
+    for (int t = W::first(); t < W::count(scene.tet_items); t += W::stride()) {
         const Mat3<F> A = Element<L>::load(scene, t, x).A;
-        const Mat3<F> R = rotation(A);
-        const Mat3<F> P = piola(A, R, mu, lambda);
+        const auto elastic = Elastic<F>::template of<true>(A, mu, lambda);
+        const Mat3<F>&P = elastic.piola, &R = elastic.rotation;
         const F volume = dot(row(A, 0), cross(row(A, 1), row(A, 2)));
         const F shrink = 1.0f / max(volume, W::broadcast(NEARLY_FLAT));
         Mat3<F> cauchy, corotated;
@@ -194,6 +248,7 @@ template <int L, class Scene> CODESIGN_INLINE void stress(const Scene& scene, in
                 cauchy.a[3 * i + j] = shrink * dot(row(P, i), row(A, j));  // P F^T / det F
                 corotated.a[3 * i + j] = dot(column(R, i), column(P, j));  // R^T P
             }
+        float* out = W::state(all, t, 2);
         W::store(out, von_mises(cauchy));
         W::store(out + W::width, von_mises(corotated));
     }

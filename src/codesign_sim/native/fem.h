@@ -9,7 +9,6 @@ namespace codesign {
 // Per node: share of the block's mass, 1 / volume, 1 if free, share of gravity (lumped load over
 // lumped mass); the last three are 0 where pinned.
 constexpr int NODE_CONSTANTS = 4;
-constexpr int MARK_EVERY = 8;  // substeps between two markings of what is near
 
 // Mass centre, its velocity and the angular velocity, weighted by node volume (so the density
 // cancels); the best rigid motion in the sense of momentum.
@@ -17,7 +16,7 @@ template <class F> struct RigidMotion {
     Vec3<F> centre, velocity, spin;
 };
 
-// Sums over the nodes about a fixed point: first and second moments, momentum.
+// Sums over the nodes about a fixed point, weighted by their shares of the mass.
 template <class F> struct Moments {
     Vec3<F> first, momentum, angular;
     F xx, yy, zz, xy, yz, zx;
@@ -37,13 +36,14 @@ CODESIGN_INLINE RigidMotion<typename Lanes<L>::F> rigid_motion(
     const Moments<typename Lanes<L>::F>& m, Vec3<typename Lanes<L>::F> about) {
     typedef Lanes<L> W;
     typedef typename W::F F;
-    const Vec3<F> d = { W::total(m.first.x), W::total(m.first.y), W::total(m.first.z) };
-    const Vec3<F> v = { W::total(m.momentum.x), W::total(m.momentum.y), W::total(m.momentum.z) };
-    const Vec3<F> h = { W::total(m.angular.x), W::total(m.angular.y), W::total(m.angular.z) };
+    F sums[15] = { m.first.x, m.first.y, m.first.z, m.momentum.x, m.momentum.y, m.momentum.z,
+        m.angular.x, m.angular.y, m.angular.z, m.xx, m.yy, m.zz, m.xy, m.yz, m.zx };
+    W::total(sums, 15);
+    const Vec3<F> d = { sums[0], sums[1], sums[2] }, v = { sums[3], sums[4], sums[5] };
+    const Vec3<F> h = { sums[6], sums[7], sums[8] };
     const Vec3<F> l = h - cross(d, v);  // about the centre; the weights sum to one
-    const F sxx = W::total(m.xx) - d.x * d.x, syy = W::total(m.yy) - d.y * d.y;
-    const F szz = W::total(m.zz) - d.z * d.z, sxy = W::total(m.xy) - d.x * d.y;
-    const F syz = W::total(m.yz) - d.y * d.z, szx = W::total(m.zx) - d.z * d.x;
+    const F sxx = sums[9] - d.x * d.x, syy = sums[10] - d.y * d.y, szz = sums[11] - d.z * d.z;
+    const F sxy = sums[12] - d.x * d.y, syz = sums[13] - d.y * d.z, szx = sums[14] - d.z * d.x;
     const Vec3<F> a = { syy + szz, -sxy, -szx }, b = { -sxy, sxx + szz, -syz };
     const Vec3<F> c = { -szx, -syz, sxx + syy };  // rows of the inertia
     const Vec3<F> bc = cross(b, c);
@@ -52,49 +52,71 @@ CODESIGN_INLINE RigidMotion<typename Lanes<L>::F> rigid_motion(
     return { about + d, v, spin };
 }
 
+// Where the forces of a group go, with none there yet.
+template <int L, class Scene> CODESIGN_INLINE Forces no_forces(const Scene& scene, int group) {
+    typedef Lanes<L> W;
+    constexpr int C = W::copies, E = W::environments;
+    const size_t rows = (size_t)scene.node_rows * ROW * E;
+    const size_t tets = (size_t)scene.tet_items * 12 * C;
+    const size_t triangles = (size_t)scene.triangle_items * 9 * C;
+    float* corners = scene.corner_forces.data + group * (tets + triangles);
+    const Forces forces = { scene.forces.data + group * rows, corners, corners + tets };
+    for (size_t k = W::first(); k < rows; k += W::stride())
+        forces.nodes[k] = 0.0f;
+    for (int t = W::first(); t < W::count(scene.triangle_items); t += W::stride())
+        for (int c = 0; c < 3; ++c)
+            Nodes<L>::withdraw(W::corners(forces.triangles, t, 3) + c * 3 * C);
+    return forces;
+}
+
 // Elastic forces at the present positions, for looking at them alone.
 template <int L, class Scene> CODESIGN_INLINE void elastic(const Scene& scene, int group) {
-    const size_t size = (size_t)scene.node_rows * ROW * L;
-    float* force = scene.forces.data + group * size;
-    for (size_t k = 0; k < size; ++k)
-        force[k] = 0.0f;
-    add_elastic_forces<L>(scene, group, scene.positions.data + group * size, force);
+    typedef Lanes<L> W;
+    const Forces forces = no_forces<L>(scene, group);
+    const size_t state = (size_t)group * scene.node_rows * ROW * W::environments;
+    give_elastic_forces<L>(scene, group, scene.positions.data + state, forces);
+    W::barrier();
+    for (int n = W::first(); n < W::count(scene.node_items); n += W::stride()) {
+        const int* node = W::constants(scene.node_order.data, n, 1);
+        Nodes<L>::store(forces.nodes, node, Nodes<L>::collect(scene, forces, node));
+    }
 }
 
 // The state of one group and what one step does to it.
 template <int L> struct Motion {
     typedef Lanes<L> W;
     typedef typename W::F F;
-    float *x, *v, *ahead, *force;
+    float *x, *v, *ahead;
     const float* load;
     F dt, beta, damping, dt_per_density, top_speed;
     Vec3<F> gravity_step, centre;
-    F fastest2;  // squared speed of the fastest node
     bool about_rigid;
+    // What is near an obstacle is marked anew when a point may have travelled by the margin.
+    F fastest, travelled, margin;
 };
 
 template <int L, class Scene> CODESIGN_INLINE Motion<L> start(const Scene& scene, int group) {
     typedef Lanes<L> W;
-    const size_t state = (size_t)group * scene.node_rows * ROW * L;
+    constexpr int E = W::environments;
+    const size_t state = (size_t)group * scene.node_rows * ROW * E;
     const float* s = scene.settings.data;
-    const float* centre = scene.centres.data + (size_t)group * 3 * L;
+    const float* centre = scene.centres.data + (size_t)group * 3 * E;
     Motion<L> m;
     m.x = scene.positions.data + state;
     m.v = scene.velocities.data + state;
     m.ahead = scene.ahead.data + state;
-    m.force = scene.forces.data + state;
     m.load = scene.loads.data + state;
     m.dt = W::broadcast(s[TIME_STEP]);
     m.beta = W::broadcast(s[STIFFNESS_DAMPING]);
     m.damping = W::broadcast(s[MASS_DAMPING] * s[TIME_STEP]);
     m.dt_per_density
-        = m.dt / W::environment(scene.materials.data + ((size_t)group * 4 + 2) * L);
+        = m.dt / W::environment(scene.materials.data + ((size_t)group * 4 + 2) * E);
     m.top_speed = W::broadcast(s[TOP_SPEED]);
     m.gravity_step = { m.dt * s[GRAVITY_X], m.dt * s[GRAVITY_Y], m.dt * s[GRAVITY_Z] };
-    m.centre = { W::environment(centre), W::environment(centre + L),
-        W::environment(centre + 2 * L) };
-    m.fastest2 = W::broadcast(0.0f);
+    m.centre
+        = { W::environment(centre), W::environment(centre + E), W::environment(centre + 2 * E) };
     m.about_rigid = s[DAMP_ABOUT_RIGID] > 0.5f;
+    m.fastest = m.travelled = m.margin = W::broadcast(0.0f);
     return m;
 }
 
@@ -102,21 +124,22 @@ template <int L, class Scene> CODESIGN_INLINE Motion<L> start(const Scene& scene
 // returns the rigid part of the motion.
 template <int L, class Scene>
 CODESIGN_INLINE RigidMotion<typename Lanes<L>::F> kick(
-    const Scene& scene, const Motion<L>& m, bool looking) {
+    const Scene& scene, const Motion<L>& m, const Forces& forces, bool looking) {
     typedef Lanes<L> W;
     typedef typename W::F F;
     constexpr int C = W::copies;
     const F zero = W::broadcast(0.0f);
     const Vec3<F> none = { zero, zero, zero };
     Moments<F> sums = { none, none, none, zero, zero, zero, zero, zero, zero };
-    for (int n = 0; n < scene.node_items; ++n) {
-        const int* node = scene.node_order.data + n * C;
-        const float* constants = scene.node_constants.data + (size_t)n * NODE_CONSTANTS * C;
+    for (int n = W::first(); n < W::count(scene.node_items); n += W::stride()) {
+        const int* node = W::constants(scene.node_order.data, n, 1);
+        const float* constants = W::constants(scene.node_constants.data, n, NODE_CONSTANTS);
         Vec3<F> speed = Nodes<L>::load(m.v, node);
         if (!looking) {
             const F per_volume = W::item(constants + C), falls = W::item(constants + 3 * C);
-            speed = speed + (m.dt_per_density * per_volume) * Nodes<L>::load(m.force, node)
-                + falls * m.gravity_step;
+            const Vec3<F> force
+                = Nodes<L>::collect(scene, forces, node) + Nodes<L>::load(m.load, node);
+            speed = speed + (m.dt_per_density * per_volume) * force + falls * m.gravity_step;
             Nodes<L>::store(m.v, node, speed);
         }
         const Vec3<F> from_centre = Nodes<L>::load(m.x, node) - m.centre;
@@ -136,11 +159,11 @@ CODESIGN_INLINE void move(const Scene& scene, Motion<L>& m,
     constexpr int C = W::copies;
     const F zero = W::broadcast(0.0f), one = W::broadcast(1.0f);
     const F dt = looking ? zero : m.dt, damping = looking ? zero : m.damping;
-    m.fastest2 = zero;
-    for (int n = 0; n < scene.node_items; ++n) {
-        const int* node = scene.node_order.data + n * C;
-        const float* constants = scene.node_constants.data + (size_t)n * NODE_CONSTANTS * C;
-        const F free = W::item(constants + 2 * C);
+    F fastest2 = zero;
+    for (int n = W::first(); n < W::count(scene.node_items); n += W::stride()) {
+        const int* node = W::constants(scene.node_order.data, n, 1);
+        const F free
+            = W::item(W::constants(scene.node_constants.data, n, NODE_CONSTANTS) + 2 * C);
         const Vec3<F> at = Nodes<L>::load(m.x, node);
         Vec3<F> speed = Nodes<L>::load(m.v, node);
         Vec3<F> flexing = speed;
@@ -148,77 +171,75 @@ CODESIGN_INLINE void move(const Scene& scene, Motion<L>& m,
             flexing = speed - rigid.velocity - cross(rigid.spin, at - rigid.centre);
         speed = speed - (damping * free) * flexing;
         const F speed2 = dot(speed, speed);
-        const F slow = speed2 > m.top_speed * m.top_speed ? m.top_speed / root(speed2) : one;
+        F slow = one;
+        const auto fast = speed2 > m.top_speed * m.top_speed;
+        if (any(fast))
+            slow = fast ? m.top_speed / root(speed2) : one;
         speed = slow * speed;
-        m.fastest2 = max(m.fastest2, slow * slow * speed2);
+        fastest2 = max(fastest2, slow * slow * speed2);
         const Vec3<F> next = at + dt * speed;
         Nodes<L>::store(m.v, node, speed);
         Nodes<L>::store(m.x, node, next);
         Nodes<L>::store(m.ahead, node, next + (slow * m.beta) * flexing);
     }
     m.centre = rigid.centre + dt * rigid.velocity;
+    m.fastest = root(fastest2);
+    m.travelled = m.travelled + dt * (m.fastest + scene.settings.data[FINGER_SPEED]);
 }
 
-// Contact forces summed over the steps, and the present depths: [obstacle][3 and 1][width].
-template <int L> struct Ledger {
-    static constexpr int width = Lanes<L>::width;
-    float impulse[OBSTACLES * 3 * width], deepest[OBSTACLES * width];
-};
-
 template <int L, class Scene>
-CODESIGN_INLINE void add_forces(
-    const Scene& scene, int group, int step, const Motion<L>& m, Ledger<L>& ledger) {
+CODESIGN_INLINE void give_forces(const Scene& scene, int group, int step, Motion<L>& m,
+    const Forces& forces, Ledger<L>& ledger) {
     typedef Lanes<L> W;
-    const float* s = scene.settings.data;
     const float* poses
-        = scene.poses.data + ((size_t)step * scene.groups + group) * 2 * POSE * L;
-    if (step % MARK_EVERY == 0) {
-        const typename W::F speed = root(W::largest(m.fastest2)) + s[FINGER_SPEED];
-        mark_near<L>(
-            scene, group, m.x, poses, s[NEAR_MARGIN] + (1.5f * MARK_EVERY) * m.dt * speed);
+        = scene.poses.data + ((size_t)step * scene.groups + group) * 2 * POSE * W::environments;
+    // Contact looks at x + beta v.
+    const bool far = any(m.travelled + m.beta * m.fastest > m.margin);
+    if (W::somewhere(step == 0 || far)) {
+        m.margin = scene.settings.data[CONTACT_SKIN] + 2.0f * m.beta * W::largest(m.fastest);
+        m.travelled = W::broadcast(0.0f);
+        mark_near<L>(scene, group, m.x, poses, forces, m.margin);
     }
-    const size_t size = (size_t)scene.node_rows * ROW * L;
-    for (size_t k = 0; k < size; ++k)
-        m.force[k] = m.load[k];
-    add_elastic_forces<L>(scene, group, m.ahead, m.force);
-    add_contact_forces<L>(
-        scene, group, m.x, m.v, poses, m.force, ledger.impulse, ledger.deepest);
+    give_elastic_forces<L>(scene, group, m.ahead, forces);
+    give_contact_forces<L>(scene, group, m.x, m.v, poses, forces, ledger);
+    W::barrier();
 }
 
 // Mean contact force over the steps and final depth, per environment.
 template <int L, class Scene>
-CODESIGN_INLINE void write_report(
-    const Scene& scene, int group, const Ledger<L>& ledger, int steps) {
+CODESIGN_INLINE void write_report(const Scene& scene, int group, Ledger<L>& ledger, int steps) {
     typedef Lanes<L> W;
-    float* report = scene.reports.data + (size_t)group * OBSTACLES * REPORT * L;
-    for (int o = 0; o < OBSTACLES; ++o, report += REPORT * L) {
-        for (int k = 0; k < 3; ++k) {
-            const auto sum = W::total(W::load(ledger.impulse + (o * 3 + k) * W::width));
-            W::store_environment(report + k * L, (1.0f / steps) * sum);
-        }
-        const auto depth = W::largest(W::load(ledger.deepest + o * W::width));
-        W::store_environment(report + 3 * L, depth);
+    constexpr int E = W::environments;
+    float* report = scene.reports.data + (size_t)group * OBSTACLES * REPORT * E;
+    for (int o = 0; o < OBSTACLES; ++o, report += REPORT * E) {
+        typename W::F sum[3] = { ledger.impulse[o].x, ledger.impulse[o].y, ledger.impulse[o].z };
+        W::total(sum, 3);
+        for (int k = 0; k < 3; ++k)
+            W::store_environment(report + k * E, (1.0f / steps) * sum[k]);
+        W::store_environment(report + 3 * E, W::largest(ledger.deepest[o]));
     }
 }
 
 // All substeps of one advance for one group of environments.
 template <int L, class Scene> CODESIGN_INLINE void advance(const Scene& scene, int group) {
     typedef Lanes<L> W;
+    constexpr int E = W::environments;
     const int steps = int(scene.settings.data[SUBSTEPS]);
+    const Forces forces = no_forces<L>(scene, group);
     Motion<L> motion = start<L>(scene, group);
     Ledger<L> ledger = {};
     // Positions or velocities may have been set since the last advance: look ahead first.
     for (int step = -1; step < steps; ++step) {
         const bool looking = step < 0;
         if (!looking)
-            add_forces<L>(scene, group, step, motion, ledger);
-        const auto rigid = kick<L>(scene, motion, looking);
+            give_forces<L>(scene, group, step, motion, forces, ledger);
+        const auto rigid = kick<L>(scene, motion, forces, looking);
         move<L>(scene, motion, rigid, looking);
     }
-    float* centre = scene.centres.data + (size_t)group * 3 * L;
+    float* centre = scene.centres.data + (size_t)group * 3 * E;
     W::store_environment(centre, motion.centre.x);
-    W::store_environment(centre + L, motion.centre.y);
-    W::store_environment(centre + 2 * L, motion.centre.z);
+    W::store_environment(centre + E, motion.centre.y);
+    W::store_environment(centre + 2 * E, motion.centre.z);
     write_report<L>(scene, group, ledger, steps);
 }
 

@@ -1,17 +1,28 @@
-// Vectors of lanes, and how state in memory becomes a vector.
+// Vectors of lanes: how the items of environments become the vectors that the physics computes with.
 //
-// Memory layout everywhere: [group][item][component][lane], lane fastest.
-//   L > 1: a lane is an environment, a group is L environments, and a per-item constant (a
-//          tetrahedron's rest shape) is stored once and broadcast over the lanes.
-//   L = 1: a group is one environment, and a vector takes `width` neighbouring ITEMS (tetrahedra,
-//          triangles, nodes) of it; per-item constants are stored per lane, per-environment values
-//          (a material) are broadcast.
-// The physics in fem.h and contact.h is written once, against the few functions below.
+// The physics (elements.h, contact.h, fem.h) is written once against Lanes<L> and Nodes<L>, and all
+// that differs between machines is here and in team.h. Memory is laid out as
+// [group][item][component][lane] everywhere:
+//   L > 1: a lane is an environment and a group is L environments. Constants of an item (a
+//          tetrahedron's rest shape) are stored once and broadcast over the lanes.
+//   L = 1: a group is one environment, and a vector takes ITEM_LANES neighbouring ITEMS
+//          (tetrahedra, triangles, nodes) of it; constants of an item are stored per lane, values
+//          of an environment (a material) are broadcast.
+//   TEAM:  a group is one environment and a team of threads shares its items, see team.h.
 #pragma once
+#include "vec3.h"
 
 namespace codesign {
 
-#define CODESIGN_INLINE CUDA_CALLABLE static inline __attribute__((always_inline))
+template <int L> struct Lanes;
+template <int L> struct Nodes;
+
+}  // namespace codesign
+
+#include "team.h"
+#ifndef __CUDACC__
+
+namespace codesign {
 
 // Lanes of a vector when one environment fills it with its own items.
 constexpr int ITEM_LANES = 8;
@@ -27,23 +38,38 @@ template <int W> struct Vector {
 typedef Vector<4>::F Float4;
 typedef Vector<4>::UnalignedF UnalignedFloat4;
 
-template <class V> CODESIGN_INLINE V max(V a, V b) { return a > b ? a : b; }
-template <class V> CODESIGN_INLINE V min(V a, V b) { return a < b ? a : b; }
 template <class V> CODESIGN_INLINE V root(V a) { return __builtin_elementwise_sqrt(a); }
 template <class M> CODESIGN_INLINE bool any(M mask) { return __builtin_reduce_or(mask) != 0; }
 
 template <int L> struct Lanes {
     static constexpr int width = L == 1 ? ITEM_LANES : L;  // floats in a vector
     static constexpr int copies = L == 1 ? ITEM_LANES : 1;  // stored lanes of per-item constants
+    static constexpr int environments = L;  // stored lanes of per-environment values
     typedef typename Vector<width>::F F;
     typedef typename Vector<width>::I I;
     typedef typename Vector<width>::UnalignedF UnalignedF;
     typedef typename Vector<width>::UnalignedI UnalignedI;
 
+    // Items that one thread visits: all, one after the other.
+    CODESIGN_INLINE int first() { return 0; }
+    CODESIGN_INLINE int stride() { return 1; }
+    CODESIGN_INLINE int count(int items) { return items; }
+    CODESIGN_INLINE void barrier() {}
+
+    // Where item t begins, in constants and in state of `components` values per item.
+    template <class T> CODESIGN_INLINE T* constants(T* base, int t, int components) {
+        return base + (size_t)t * components * copies;
+    }
+    CODESIGN_INLINE float* state(float* base, int t, int components) {
+        return base + (size_t)t * components * width;
+    }
+
+    CODESIGN_INLINE float* corners(float*, int, int) { return nullptr; }
+
     CODESIGN_INLINE F load(const float* p) { return *(const UnalignedF*)p; }
     CODESIGN_INLINE void store(float* p, F v) { *(UnalignedF*)p = v; }
-    CODESIGN_INLINE F broadcast(float value) { return F {} + value; }
-    CODESIGN_INLINE I broadcast(int value) { return I {} + value; }
+    CODESIGN_INLINE F broadcast(float value) { return value - F {}; }
+    CODESIGN_INLINE I broadcast(int value) { return value - I {}; }
 
     // A constant of an item (area, rest shape): the same for every environment.
     CODESIGN_INLINE F item(const float* p) {
@@ -67,16 +93,18 @@ template <int L> struct Lanes {
             return *(const UnalignedI*)p;
     }
 
-    // A sum over items, per environment, in every lane of that environment.
-    CODESIGN_INLINE F total(F v) {
-        if constexpr (L == 1) {
-            float sum = 0.0f;
-            for (int lane = 0; lane < width; ++lane)
-                sum += v[lane];
-            return broadcast(sum);
-        } else
-            return v;
+    // Sums over the items, per environment, in every lane of that environment.
+    CODESIGN_INLINE void total(F* values, int count) {
+        if constexpr (L == 1)
+            for (int k = 0; k < count; ++k) {
+                float sum = 0.0f;
+                for (int lane = 0; lane < width; ++lane)
+                    sum += values[k][lane];
+                values[k] = broadcast(sum);
+            }
     }
+    // Whether it holds for any thread.
+    CODESIGN_INLINE bool somewhere(bool anything) { return anything; }
     CODESIGN_INLINE F largest(F v) {
         if constexpr (L == 1) {
             float top = v[0];
@@ -94,6 +122,8 @@ template <int L> struct Lanes {
             store(p, v);
     }
 
+    CODESIGN_INLINE I whole(F v) { return __builtin_convertvector(v, I); }
+    CODESIGN_INLINE F real(I v) { return __builtin_convertvector(v, F); }
     CODESIGN_INLINE F gather(const float* p, I index) {
         F v;
         for (int lane = 0; lane < width; ++lane)
@@ -102,30 +132,7 @@ template <int L> struct Lanes {
     }
 };
 
-// One 3-vector per lane.
-template <class F> struct Vec3 {
-    F x, y, z;
-};
-template <class F> CODESIGN_INLINE Vec3<F> operator+(Vec3<F> a, Vec3<F> b) {
-    return { a.x + b.x, a.y + b.y, a.z + b.z };
-}
-template <class F> CODESIGN_INLINE Vec3<F> operator-(Vec3<F> a, Vec3<F> b) {
-    return { a.x - b.x, a.y - b.y, a.z - b.z };
-}
-template <class F> CODESIGN_INLINE Vec3<F> operator*(F s, Vec3<F> a) {
-    return { s * a.x, s * a.y, s * a.z };
-}
-template <class F> CODESIGN_INLINE F dot(Vec3<F> a, Vec3<F> b) {
-    return a.x * b.x + a.y * b.y + a.z * b.z;
-}
-template <class F> CODESIGN_INLINE Vec3<F> cross(Vec3<F> a, Vec3<F> b) {
-    return { a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x };
-}
-
-// Node vectors are stored as [node][4][L]; the fourth component only pads to a 16-byte row, so
-// that with L = 1 one load brings one node and eight of them transpose into lanes.
-constexpr int ROW = 4;
-
+// With L = 1 one load brings one node's row, and eight of them transpose into lanes.
 template <int L> struct Nodes {
     typedef Lanes<L> W;
     typedef typename W::F F;
@@ -148,9 +155,10 @@ template <int L> struct Nodes {
         }
     }
 
-    // Adds a force per lane to its node. Lanes follow one another, so nodes may repeat and the
+    // Hands a force per lane to its node, by adding it at once. Lanes follow one another, so nodes may repeat and the
     // order of summation, hence the last bit, is always the same.
-    CODESIGN_INLINE void add(float* state, const int* node, Vec3<F> f) {
+    CODESIGN_INLINE void give(const Forces& forces, float*, const int* node, Vec3<F> f) {
+        float* state = forces.nodes;
         if constexpr (L == 1) {
             Float4 rows[8];
             transpose(f, rows);
@@ -164,6 +172,18 @@ template <int L> struct Nodes {
             W::store(p + L, W::load(p + L) + f.y);
             W::store(p + 2 * L, W::load(p + 2 * L) + f.z);
         }
+    }
+
+    // Takes back what was left at a corner: here, nothing was.
+    CODESIGN_INLINE void withdraw(float*) {}
+
+    // The force that a node was given. It starts anew from zero.
+    template <class Scene>
+    CODESIGN_INLINE Vec3<F> collect(const Scene&, const Forces& forces, const int* node) {
+        const Vec3<F> sum = load(forces.nodes, node);
+        const F zero = W::broadcast(0.0f);
+        store(forces.nodes, node, { zero, zero, zero });
+        return sum;
     }
 
     CODESIGN_INLINE void store(float* state, const int* node, Vec3<F> f) {
@@ -203,3 +223,5 @@ private:
 };
 
 }  // namespace codesign
+
+#endif
