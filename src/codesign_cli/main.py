@@ -2,7 +2,7 @@
 
 import typer
 
-from codesign_cli import control, demo, design, graph, report, sim
+from codesign_cli import control, demo, design, graph, policy, report, sim
 
 app = typer.Typer(
     help="End-effector co-design: simulate, control, record and report fragile-object grasps.",
@@ -15,4 +15,5 @@ app.add_typer(report.bag_app, name="bag")
 app.add_typer(control.app, name="control")
 app.add_typer(design.app, name="design")
 app.add_typer(graph.app, name="graph")
+app.add_typer(policy.app, name="policy")
 app.add_typer(sim.app, name="sim")
