@@ -7,8 +7,9 @@ import igl
 import numpy as np
 
 from codesign_design import mount as stock_mount
-from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.finger_pair import MOUNT_FACE, FingerPair, TriangleMesh
 from codesign_design.gripper_check import check_gripper
+from codesign_design.gripper_geometry import usable_gap
 from codesign_design.mesh_checks import MeshChecks, check_mesh, edge_checks, volume_and_centre
 from codesign_design.mount import MAX_DEPTH, Mounted, mount_finger
 from codesign_design.mount_check import check_mount
@@ -67,30 +68,29 @@ def build_finger(
     """
     if mount != stock_mount.NAME:
         raise ValueError(f"mount {mount!r}: there is only {stock_mount.NAME!r}")
-    shape = shape_finger(surface)
+    return finish_finger(surface, shape_finger(surface), name, cage, parameters)
+
+
+def finish_finger(
+    surface: TriangleMesh,
+    shape: Shape,
+    name: str = "",
+    cage: str = "",
+    parameters: Sequence[float] = (),
+) -> BuiltFinger:
+    """The pair and its report from what `shape_finger` made of the raw surface."""
     left = shape.mounted.mesh
-    gripper = check_gripper(left)
+    gap = usable_gap(MOUNT_FACE + shape.mounted.depth)
     pair = FingerPair(
-        name=name,
-        left=left,
-        right=left.mirrored_y(),
-        min_width=gripper.min_width,
-        max_width=max(gripper.max_width, gripper.min_width),
-        cage=cage,
-        parameters=tuple(float(p) for p in parameters),
-        mount=mount,
+        name,
+        left,
+        left.mirrored_y(),
+        *gap,
+        cage,
+        tuple(float(p) for p in parameters),
+        stock_mount.NAME,
     )
-    report = PrintReport(
-        name=name,
-        content_hash=pair.content_hash,
-        mesh=shape.checks,
-        mirrored=_is_mirrored(pair),
-        printing=check_printing(left),
-        mount=check_mount(left),
-        gripper=gripper,
-        deviation=_deviation(surface, shape),
-    )
-    return BuiltFinger(pair, report, surface)
+    return BuiltFinger(pair, _report(pair, surface, shape), surface)
 
 
 def shape_finger(surface: TriangleMesh) -> Shape:
@@ -128,6 +128,19 @@ def _check_input(surface: TriangleMesh) -> None:
         raise ValueError(
             f"a face names vertex {surface.faces.max()}, there are {len(surface.vertices)}"
         )
+
+
+def _report(pair: FingerPair, raw: TriangleMesh, shape: Shape) -> PrintReport:
+    return PrintReport(
+        name=pair.name,
+        content_hash=pair.content_hash,
+        mesh=shape.checks,
+        mirrored=_is_mirrored(pair),
+        printing=check_printing(pair.left),
+        mount=check_mount(pair.left),
+        gripper=check_gripper(pair.left),
+        deviation=_deviation(raw, shape),
+    )
 
 
 def _is_mirrored(pair: FingerPair) -> bool:

@@ -106,8 +106,8 @@ def _range(
 def _side(
     u: NDArray[np.float64],
     v: NDArray[np.float64],
-    start: NDArray[np.int_],
-    end: NDArray[np.int_],
+    start: NDArray[np.signedinteger],
+    end: NDArray[np.signedinteger],
     pu: NDArray[np.float64],
     pv: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -61,7 +61,7 @@ def check_mesh(surface: TriangleMesh) -> MeshChecks:
     """Measures a surface; it may be broken in any way but its vertices must be finite."""
     faces = surface.faces
     watertight, consistent = edge_checks(faces)
-    labels, components = face_components(faces)
+    components = face_components(faces)[1]
     volume, centre = volume_and_centre(surface)
     used = len(np.unique(faces))
     genus = components - (used - len(faces) * 3 // 2 + len(faces)) // 2

@@ -34,6 +34,7 @@ BOSS_DEPTH = 5.8  # mm: the web, a head 3 mm high, and a little rest
 MAX_DEPTH = 0.020  # m; such fingers still open by 58 mm, see `gripper_check`
 
 _OVERLAP = 1.0  # mm, of boss and body
+_WIDE = 1e3  # mm, wider than any finger
 _CELL = 1.0  # mm, of the boss's fit to the body behind it
 _LEAST_SHARE = 0.2  # of the boss's footprint with body in front of it, else a bridge is needed
 _BRIDGE_GRID = 25  # columns either way, to find the body's thickest part
@@ -66,14 +67,13 @@ def mount_finger(body: TriangleMesh) -> Mounted:
     Raises:
         ValueError: the body encloses no solid.
     """
-    solid = to_solid(body)
-    solid = solid.translate((0.0, -solid.bounding_box()[1], 0.0))
-    body = to_surface(solid)
+    front = float(body.vertices[:, 1].min())
+    body = TriangleMesh(body.vertices - [0.0, front, 0.0], body.faces)
     found = _slabs(body, _footprint(), min(float(body.vertices[:, 1].max()), MAX_DEPTH) * MM)
     depth = _depth(body, found)
     hit = np.isfinite(found).all(axis=-1)
     bridged = bool(hit.mean() < _LEAST_SHARE)
-    parts = [solid.trim_by_plane((0.0, -1.0, 0.0), -depth), _boss(found, depth)]
+    parts = [to_solid(body), _boss(found, depth)]
     if bridged:
         parts.append(_bridge(body, depth))
     united = Manifold.batch_boolean(parts, OpType.Add)
@@ -121,7 +121,10 @@ def _depth(body: TriangleMesh, slabs: NDArray[np.float64]) -> float:
 
 
 def _boss(slabs: NDArray[np.float64], depth: float) -> Manifold:
-    """The boss, extended forward until it is inside the body wherever there is body before it."""
+    """The boss, extended forward until it is inside the body wherever there is body before it.
+
+    It ends a little behind the mount face, which is cut later.
+    """
     front, back = slabs[..., 0], slabs[..., 1]
     reach = back - np.minimum(_OVERLAP, (back - front) / 2.0)
     reach = np.minimum(np.where(np.isnan(reach), np.inf, reach), depth - BOSS_DEPTH)
@@ -140,7 +143,8 @@ def _boss(slabs: NDArray[np.float64], depth: float) -> Manifold:
     ]
     faces = np.concatenate([front_faces, front_faces[:, ::-1] + count, *walls])
     points = [
-        np.column_stack([x.ravel(), y.ravel(), z.ravel()]) for y in (reach, np.full(z.shape, depth))
+        np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+        for y in (reach, np.full(z.shape, depth + _OVERLAP))
     ]
     return to_solid(TriangleMesh(np.concatenate(points) / MM, faces.astype(np.int32)))
 
@@ -164,8 +168,9 @@ def _bridge(body: TriangleMesh, depth: float) -> Manifold:
 
 
 def _cuts(depth: float) -> list[Manifold]:
-    """Screw holes, channels for heads and screwdriver, and room for the inner knuckle."""
-    cuts = [_knuckle_room(depth)]
+    """What is behind the mount face, screw holes with their channels, the knuckle's room."""
+    behind = Manifold.cube((_WIDE, _WIDE, _WIDE)).translate((-_WIDE / 2, depth, -_WIDE / 2))
+    cuts = [behind, _knuckle_room(depth)]
     for z in HOLES:
         for diameter, end in ((HOLE_DIAMETER, depth + 1.0), (HEAD_DIAMETER, depth - WEB)):
             cylinder = Manifold.cylinder(end + 1.0, diameter / 2.0, -1.0, _SEGMENTS)

@@ -26,7 +26,7 @@ OVERHANG = np.radians(45.0)  # from the vertical: steeper undersides need suppor
 BED = (0.18, 0.18, 0.18)  # m, of the smallest printers in common use
 MAX_LOST = 0.05  # of the volume, in pieces that did not hang together with the finger
 
-_RAYS = 3000
+_RAYS = 2000
 _SKIN = 1e-6  # m, from where a ray starts
 _BUILD = np.array([0.0, -1.0, 0.0])  # upwards in the print, grasp frame of the left finger
 

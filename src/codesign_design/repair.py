@@ -24,7 +24,7 @@ VOXEL = 0.001  # m; sheets thinner than this may be lost
 MAX_POINTS = 4_000_000  # of the grid; a larger surface gets a coarser one
 _MARGIN = 2.37  # voxels around the surface; odd, to keep columns off the vertices
 _FLATTER, _INFLATE = 0.5, -0.53  # Taubin's two steps
-_THINNING = 0.02  # mm, largest change when vertices are taken out
+_THINNING = 0.03  # mm, largest change when vertices are taken out
 _LEAST_DISTANCE = 0.02  # voxels; keeps marching cubes from making slivers
 
 
@@ -95,7 +95,7 @@ def smoothed(surface: TriangleMesh, iterations: int) -> TriangleMesh:
     return to_surface(to_solid(TriangleMesh(vertices, faces)).simplify(_THINNING))
 
 
-def _winding(surface: TriangleMesh, axes: list[NDArray[np.float64]]) -> NDArray[np.floating]:
+def _winding(surface: TriangleMesh, axes: list[NDArray[np.float64]]) -> NDArray[np.number]:
     if all(edge_checks(surface.faces)):
         return winding_numbers(surface, Columns(2, axes[0], axes[1]), axes[2])
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)

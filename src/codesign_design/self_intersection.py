@@ -35,22 +35,22 @@ def _overlapping_boxes(
     order = _along_a_curve(corners.mean(axis=1))
     count = len(order)
     levels = max(0, int(np.ceil(np.log2(max(1, count / _LEAF)))))
-    slots = _LEAF * 2**levels
-    low = np.full((slots, 3), np.inf)
-    high = np.full((slots, 3), -np.inf)
-    low[:count], high[:count] = corners.min(axis=1)[order], corners.max(axis=1)[order]
+    low = np.full((3, _LEAF * 2**levels), np.inf)
+    high = np.full_like(low, -np.inf)
+    low[:, :count], high[:, :count] = corners.min(axis=1)[order].T, corners.max(axis=1)[order].T
+    sizes = [_LEAF] + [2] * levels
     lows, highs = [low], [high]
-    for size in [_LEAF] + [2] * levels:
-        lows.append(lows[-1].reshape(-1, size, 3).min(axis=1))
-        highs.append(highs[-1].reshape(-1, size, 3).max(axis=1))
-    i = j = np.zeros(1, dtype=np.int64)
-    for size, low, high in zip([2] * levels + [_LEAF], lows[-2::-1], highs[-2::-1], strict=True):
-        a, b = np.divmod(np.arange(size * size), size)
+    for size in sizes:
+        lows.append(lows[-1].reshape(3, -1, size).min(axis=2))
+        highs.append(highs[-1].reshape(3, -1, size).max(axis=2))
+    i = j = np.zeros(1, dtype=np.int32)
+    for size, low, high in zip(sizes[::-1], lows[-2::-1], highs[-2::-1], strict=True):
+        a, b = np.divmod(np.arange(size * size, dtype=np.int32), np.int32(size))
         i, j = (i[:, None] * size + a).ravel(), (j[:, None] * size + b).ravel()
-        keep = i <= j if size == 2 else i < j
+        keep = i < j if low is lows[0] else i <= j
         i, j = i[keep], j[keep]
         for axis in range(3):
-            keep = (low[i, axis] <= high[j, axis]) & (low[j, axis] <= high[i, axis])
+            keep = (low[axis][i] <= high[axis][j]) & (low[axis][j] <= high[axis][i])
             i, j = i[keep], j[keep]
     return order[i], order[j]
 
@@ -76,7 +76,7 @@ def _intersect(
     offsets = np.einsum("ij,ij->i", normals, corners[:, 0])
     hit = np.zeros(len(first), dtype=bool)
     near = np.arange(len(first))
-    heights = []
+    heights: list[NDArray[np.float64]] = []
     for a, b in ((first, second), (second, first)):
         height = _heights(corners, normals, offsets, a[near], b[near], touch)
         # Wholly on one side, neighbours with their common corners in the plane included.

@@ -22,7 +22,8 @@ def sphere(offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> trimesh.Trim
 
 
 def surface(*meshes: trimesh.Trimesh) -> TriangleMesh:
-    mesh = trimesh.util.concatenate(meshes)
+    mesh = trimesh.util.concatenate(list(meshes))
+    assert isinstance(mesh, trimesh.Trimesh)
     return TriangleMesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int32))
 
 

@@ -18,7 +18,9 @@ def surface(mesh: trimesh.Trimesh) -> TriangleMesh:
 def pair(mesh: trimesh.Trimesh, offset: tuple[float, float, float]) -> TriangleMesh:
     moved = mesh.copy()
     moved.apply_translation(offset)
-    return surface(trimesh.util.concatenate([mesh, moved]))
+    both = trimesh.util.concatenate([mesh, moved])
+    assert isinstance(both, trimesh.Trimesh)
+    return surface(both)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +62,8 @@ def test_neighbours_that_share_a_vertex_and_cut_each_other_are_found() -> None:
     vertices = np.array([[0, 0, 0], [2, -1, 0], [2, 1, 0], [1, 0, -1], [1, 0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 3, 4]], dtype=np.int32)
     assert self_intersecting_faces(TriangleMesh(vertices, faces)).tolist() == [0, 1]
-    apart = vertices + [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 2], [0, 0, 2]]
+    apart = vertices.copy()
+    apart[3:, 2] += 2.0
     assert not len(self_intersecting_faces(TriangleMesh(apart, faces)))
 
 
