@@ -53,8 +53,9 @@ class GripperModel:
     width: gap between the two fingers' most protruding points [m].
     protrusion: distance of that point from the finger link's origin, along the closing direction
     [m]. Deeper fingers meet before the drive joint's end, so `min_width` is never below 0.
-    Raises ValueError for a protrusion with which the fingers cannot open, and everywhere for
-    values that are not finite.
+    limits: smallest and largest gap that the fingers themselves allow [m].
+    Raises ValueError for a protrusion or limits with which the fingers cannot open, and everywhere
+    for values that are not finite.
     """
 
     def __init__(
@@ -62,13 +63,17 @@ class GripperModel:
         protrusion: float = STOCK_PROTRUSION,
         spec: GripperSpec = G2,
         width: float | None = None,
+        limits: tuple[float, float] = (0.0, math.inf),
     ) -> None:
         self.protrusion = _finite("protrusion", protrusion)
         self.spec = spec
-        self.max_width = self.width_of(0.0)
-        self.min_width = max(0.0, self.width_of(DRIVE_LIMIT))
-        if self.max_width <= self.min_width:
-            raise ValueError(f"protrusion: {protrusion} m leaves the fingers no room to open")
+        self.max_width = min(limits[1], self.width_of(0.0))
+        self.min_width = max(0.0, limits[0], self.width_of(DRIVE_LIMIT))
+        if not self.max_width > self.min_width:
+            raise ValueError(
+                f"protrusion: {protrusion} m and limits {limits[0]}..{limits[1]} m leave the "
+                "fingers no room to open"
+            )
         self.width = self.max_width if width is None else self.clip(width)
 
     @staticmethod

@@ -11,10 +11,10 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 from numpy.typing import NDArray
 
+from codesign_design.build import build_finger
 from codesign_design.finger_pair import FingerPair, TriangleMesh
 from codesign_design.stock import CENTRE_Z_IN_LINK, FRAME_HEIGHT, LINK_Z, stock_fingers
 
-MOUNT = "stock-m3x2"
 PAD_TIP = CENTRE_Z_IN_LINK + LINK_Z + FRAME_HEIGHT / 2.0  # m, where the stock finger's tip is
 # The lip works at table height with the gripper wide open, when the four-bar has drawn the fingers
 # 4 mm back; the arm's tool centre point must stay above the table then.
@@ -79,10 +79,10 @@ def scoop(
     lip: float = 0.012,
     lip_thickness: float = 0.0015,
     chamfer: float = 0.0072,
-    tip_thickness: float = 0.0005,
+    tip_thickness: float = 0.0003,
     width: float = 0.060,
     height: float = 0.050,
-    depth: float = 0.007,
+    depth: float = 0.006,
     edge_radius: float = 0.0007,
 ) -> TriangleMesh:
     """A flat pad on a full-width lip that slides under the block and carries its weight.
@@ -140,6 +140,17 @@ def expert_surface(name: str) -> TriangleMesh:
     if name not in _SHAPES:
         raise ValueError(f"expert surface {name!r}: unknown; there are {', '.join(_SHAPES)}")
     return _SHAPES[name]()
+
+
+def expert(name: str) -> FingerPair:
+    """The mounted pair of an expert's shape with its default dimensions, or the stock fingers.
+
+    Raises:
+        ValueError: unknown name.
+    """
+    if name == "stock":
+        return stock_fingers()
+    return build_finger(expert_surface(name), name).pair
 
 
 def _plate(width: float, height: float, depth: float, radius: float, tip: float) -> Manifold:

@@ -21,7 +21,7 @@ LEAST_LIP = 0.003  # m, a foot that protrudes less is part of the pad
 LEAST_SIDE_ROOM = 0.004  # m between block and finger, each side, while they come down
 PAD_BAND = (0.010, 0.030)  # m above the tips, where the pad is looked for
 PAD_TOUCH = 0.0001  # m of squeeze between the pads of fingers with lips
-SCOOP_CLEARANCE = 0.0002  # m above the table
+SCOOP_CLEARANCE = 0.0001  # m above the table
 SCOOP_SPEED = 0.020  # m/s, peak closing speed of the gap
 WIDTH_STEP = 0.0001  # m, to which the gap is rounded, downwards
 _CELL = 0.0025  # m, of the depth map
@@ -92,7 +92,7 @@ def plan_for(fingers: FingerPair, block: Block | None = None) -> GraspPlan:
         )
     if view.lip > LEAST_LIP:
         plan = GraspPlan(
-            width=block.size[1] - PAD_TOUCH - 2.0 * view.pad,
+            width=round(block.size[1] - PAD_TOUCH - 2.0 * view.pad, 6),
             open_width=least_open,
             clearance=SCOOP_CLEARANCE,
             close_speed=SCOOP_SPEED,
@@ -126,7 +126,7 @@ def _squeezing_width(view: FrontView, block: Block) -> float:
     while high - low > 1e-6:
         middle = (low + high) / 2.0
         low, high = (middle, high) if force(middle) > wanted else (low, middle)
-    return float(np.floor(low / WIDTH_STEP + 1e-3) * WIDTH_STEP)
+    return round(np.floor(low / WIDTH_STEP + 1e-3) * WIDTH_STEP, 6)
 
 
 def _centres(low: float, high: float) -> NDArray[np.float64]:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.finger_pair import FingerPair
 from codesign_policy.domain import TrialDomain
 from codesign_policy.metrics import GraspMetrics, grasp_metrics
 from codesign_policy.scripted import GraspPlan, ScriptedGrasp
+from codesign_policy.simulated_fingers import simulated_fingers
 from codesign_policy.task import POLICY_PERIOD, Observation
-from codesign_sim import Block, FingerTargets, Material, Simulator, SurfaceMesh
+from codesign_sim import Block, FingerTargets, Material, Simulator
 
 START_HEIGHT = 0.25  # m, of the grasp frame above the table
 LONGEST = 30.0  # s
@@ -56,12 +57,16 @@ def run_grasps(
     """
     if len(plans) != len(domains) or not plans:
         raise ValueError(f"{len(plans)} plans for {len(domains)} domains: give one of each")
-    simulator = Simulator(Block.tofu(tetrahedra), _surfaces(fingers), environments=len(plans))
+    simulator = Simulator(
+        Block.tofu(tetrahedra), simulated_fingers(fingers), environments=len(plans)
+    )
     policies = [
         ScriptedGrasp(p, 0.0, tip_depth=fingers.tip_depth, min_width=fingers.min_width)
         for p in plans
     ]
-    state = np.array([[d.x, d.y, START_HEIGHT, p.open_width] for p, d in zip(plans, domains)])
+    state = np.array(
+        [[d.x, d.y, START_HEIGHT, p.open_width] for p, d in zip(plans, domains, strict=True)]
+    )
     simulator.reset(
         [Material(d.young_modulus, d.poisson_ratio, d.density, d.friction) for d in domains],
         position=np.array([[d.x, d.y] for d in domains]),
@@ -85,13 +90,6 @@ def run_grasps(
 
 def _targets(state: np.ndarray) -> FingerTargets:
     return FingerTargets.from_above(state[:, :3], state[:, 3])
-
-
-def _surfaces(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
-    def surface(mesh: TriangleMesh) -> SurfaceMesh:
-        return SurfaceMesh(vertices=mesh.vertices, faces=mesh.faces)
-
-    return surface(fingers.left), surface(fingers.right)
 
 
 def _sample(simulator: Simulator) -> np.ndarray:

@@ -46,6 +46,7 @@ from codesign_control import (
 )
 from codesign_control.grasp_frame import grasp_pose, tcp_translation
 from codesign_nodes import messages, qos
+from codesign_nodes.mounted import mounted
 from codesign_nodes.node_tools import (
     Diagnostics,
     LeanNode,
@@ -83,6 +84,7 @@ class CartesianController(LeanNode):
         self._arm = Xarm7()
         self._servo = CartesianServo(self._arm, self._config)
         self._gripper = GripperModel()
+        self._next_gripper: GripperModel | None = None
         self._joint_state: JointState | None = None
         self._gripper_state: GripperState | None = None
         self._measured: np.ndarray | None = None
@@ -357,11 +359,19 @@ class CartesianController(LeanNode):
 
     def _on_design(self, message: FingerDesign) -> None:
         try:
-            gripper = GripperModel(messages.design_from(message).protrusion)
-            with self._lock:
-                self._gripper = gripper
+            gripper = mounted(messages.design_from(message))
         except ValueError as error:
             self._reject(str(error))
+            return
+        with self._lock:
+            self._next_gripper = gripper
+            self._change_fingers()
+
+    def _change_fingers(self) -> None:
+        """Never in the middle of a trial: the grasp frame would jump."""
+        follows = self._servo.state in (ServoState.READY, ServoState.MOVING, ServoState.HALTED)
+        if self._next_gripper is not None and not follows:
+            self._gripper, self._next_gripper = self._next_gripper, None
 
     # --- lockstep
 
@@ -454,6 +464,7 @@ class CartesianController(LeanNode):
         if not request.data:
             with self._lock:
                 self._servo.disable()
+                self._change_fingers()
             response.success, response.message = True, "disabled"
             return response
         if not await self._fresh_state():

@@ -3,6 +3,8 @@
 At real time it ticks every 10 ms. With use_sim_time it is the clock: in lockstep it publishes a
 tick's state, waits for the commands with that tick's stamp, and goes on at once, so that the same
 seed gives the same trial bit for bit.
+
+Fingers that come on /finger_design are put on at the next reset, never in the middle of a trial.
 """
 
 import time
@@ -28,6 +30,7 @@ from visualization_msgs.msg import MarkerArray
 
 from codesign_control.setpoint_buffer import SetpointBuffer
 from codesign_control.xarm7 import HOME
+from codesign_design.finger_pair import FingerPair
 from codesign_design.stock import stock_fingers
 from codesign_nodes import messages, qos
 from codesign_nodes.markers import SceneMarkers
@@ -90,7 +93,16 @@ class FemSimulator(LeanNode):
             low=0.0,
             high=0.2,
         )
+        self._publishes_design = declare(
+            self,
+            "publish_design",
+            True,
+            "publish the stock fingers on /finger_design; false where finger_design does, and then "
+            "~/reset is offered once fingers have come",
+        )
         self._cell = SimulatedCell(config, stock_fingers())
+        self._next_fingers: FingerPair | None = None
+        self._designs_refused, self._design_error = 0, ""
         self._markers = self._scene_markers()
         self._tick = 0
         self._paused = False
@@ -110,7 +122,9 @@ class FemSimulator(LeanNode):
         self._cell.reset(domain)
         self._make_interfaces()
         self._publish_mesh(domain)
-        self._publish_design()
+        if self._publishes_design:
+            self._publish_design()
+            self._offer_reset()
         if self._lockstep:
             self._timer = self.create_timer(0.05, self._republish, clock=steady_clock())
             self._publish_state()
@@ -131,7 +145,6 @@ class FemSimulator(LeanNode):
         self._stress_pub = self.create_publisher(Stress, "/stress", offered)
         self._state_pub = self.create_publisher(SimulationState, "/simulation_state", offered)
         self._mesh_pub = self.create_publisher(SoftBodyMesh, "/soft_body_mesh", qos.LATCHED)
-        self._design_pub = self.create_publisher(FingerDesign, "/finger_design", qos.LATCHED)
         self._marker_pub = self.create_publisher(MarkerArray, "/markers", 2)
         self.create_subscription(
             JointCommand, "/joint_command", self._on_joint_command, qos.JOINT_COMMAND_REQUESTED
@@ -143,9 +156,14 @@ class FemSimulator(LeanNode):
             qos.GRIPPER_COMMAND_REQUESTED,
         )
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
-        self.create_service(ResetSimulation, "~/reset", self._on_reset)
+        self._reset_service: Any = None
         self.create_service(Trigger, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/resume", self._on_resume)
+
+    def _offer_reset(self) -> None:
+        """A trial begins with a reset, so none begins before the fingers are known."""
+        if self._reset_service is None:
+            self._reset_service = self.create_service(ResetSimulation, "~/reset", self._on_reset)
 
     # --- time
 
@@ -310,6 +328,7 @@ class FemSimulator(LeanNode):
         self._mesh_pub.publish(message)
 
     def _publish_design(self) -> None:
+        self._design_pub = self.create_publisher(FingerDesign, "/finger_design", qos.LATCHED)
         message = messages.design_message(self._cell.fingers)
         message.header.stamp = self._stamp()
         self._design_pub.publish(message)
@@ -344,15 +363,26 @@ class FemSimulator(LeanNode):
         self.get_logger().warning(f"rejected: {error}", throttle_duration_sec=1.0)
 
     def _on_design(self, message: FingerDesign) -> None:
-        if message.content_hash == self._cell.fingers.content_hash:
-            return
+        """Checks fingers and keeps them until the next reset; bad ones change nothing."""
         try:
             fingers = messages.design_from(message)
-            self._cell.set_fingers(fingers)
-            self._markers = self._scene_markers()
+            self._cell.check_fingers(fingers)
         except ValueError as error:
-            self._reject(error)
+            self._designs_refused += 1
+            self._design_error = f"/finger_design refused: {error}"
+            self.get_logger().error(self._design_error)
             return
+        self._design_error = ""
+        worn = fingers.content_hash == self._cell.fingers.content_hash
+        self._next_fingers = None if worn else fingers
+        self._offer_reset()
+
+    def _change_fingers(self) -> None:
+        if self._next_fingers is None:
+            return
+        fingers, self._next_fingers = self._next_fingers, None
+        self._cell.set_fingers(fingers)
+        self._markers = self._scene_markers()
         self.get_logger().info(f"fingers {fingers.name} ({fingers.content_hash[:12]})")
 
     # --- services
@@ -373,6 +403,7 @@ class FemSimulator(LeanNode):
         return response
 
     def _reset(self, domain: TrialDomain) -> None:
+        self._change_fingers()
         self._cell.reset(domain)
         self._error = ""
         self._commands.clear()
@@ -404,14 +435,25 @@ class FemSimulator(LeanNode):
             "overruns": self._overruns,
             "commands_rejected": self._rejected,
             "paused": self._paused,
+            "fingers": _label(self._cell.fingers),
+            "next_fingers": _label(self._next_fingers) if self._next_fingers else "",
+            "designs_refused": self._designs_refused,
         }
         self._busy, self._report_at, self._report_tick = 0.0, now, self._tick
         if self._error:
             return DiagnosticStatus.ERROR, self._error, values
+        if self._design_error:
+            return DiagnosticStatus.WARN, self._design_error, values
+        if self._reset_service is None:
+            return DiagnosticStatus.WARN, "waiting for /finger_design", values
         waiting = self._lockstep and not self._paused and now - self._sent_at > 1.0
         if waiting:
             return DiagnosticStatus.WARN, "waiting for /joint_command and /gripper_command", values
         return DiagnosticStatus.OK, "running", values
+
+
+def _label(fingers: FingerPair) -> str:
+    return f"{fingers.name} {fingers.content_hash[:12]}"
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ policy's period is answered once, so that a trial is repeatable.
 """
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,10 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from codesign_design.finger_pair import FingerPair
 from codesign_nodes import messages, qos
 from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, nanoseconds, run, steady_clock
+from codesign_policy.finger_plan import plan_for
 from codesign_policy.policy import Policy, Surroundings, load_policy, policy_names
 from codesign_policy.scripted import GraspPlan
 from codesign_policy.task import POLICY_PERIOD, Observation
@@ -50,17 +53,19 @@ class PolicyNode(LeanNode):
             low=0.02,
             high=2.0,
         )
-        plan = GraspPlan()
-        self._plan = GraspPlan(
-            width=declare(
-                self, "scripted.width", plan.width, "gap to close to [m]", low=0.0, high=0.084
-            ),
-            lift=declare(
-                self, "scripted.lift", plan.lift, "height to lift [m]", low=0.01, high=0.3
-            ),
+        self._width = declare(
+            self,
+            "scripted.width",
+            0.0,
+            "gap to close to [m]; 0: what suits the fingers",
+            low=0.0,
+            high=0.084,
+        )
+        self._lift = declare(
+            self, "scripted.lift", GraspPlan().lift, "height to lift [m]", low=0.01, high=0.3
         )
         self._lockstep = self.get_parameter("use_sim_time").value
-        load_policy(self._name, Surroundings(self._table_height, 0.0, 0.0), self._plan)
+        load_policy(self._name, Surroundings(self._table_height, 0.0, 0.0))
         self._policy: Policy | None = None
         self._state, self._message, self._sequence = PolicyStatus.IDLE, "", 0
         self._not_finite = 0
@@ -188,10 +193,10 @@ class PolicyNode(LeanNode):
             response.success = False
             response.message = "no /finger_design yet: start fem_simulator or finger_design"
             return response
-        fingers = messages.design_from(self._design)
-        around = Surroundings(self._table_height, fingers.tip_depth, fingers.min_width)
         try:
-            self._policy = load_policy(self._name, around, self._plan)
+            fingers = messages.design_from(self._design)
+            around = Surroundings(self._table_height, fingers.tip_depth, fingers.min_width)
+            self._policy = load_policy(self._name, around, self._plan_for(fingers))
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response
@@ -201,6 +206,12 @@ class PolicyNode(LeanNode):
         if self._lockstep:
             self._answer_if_complete()
         return response
+
+    def _plan_for(self, fingers: FingerPair) -> GraspPlan | None:
+        if self._name != "scripted":
+            return None
+        plan = replace(plan_for(fingers), lift=self._lift)
+        return replace(plan, width=self._width) if self._width else plan
 
     async def _design_or_timeout(self) -> None:
         """Just after bring-up the fingers may still be on their way."""

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from codesign_control import ArmModel, ArmModelConfig, GripperModel, Xarm7
+from codesign_control import ArmModel, ArmModelConfig, Xarm7
 from codesign_control.grasp_frame import grasp_pose
-from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.finger_pair import FingerPair
+from codesign_nodes.mounted import mounted
 from codesign_policy.domain import TrialDomain
-from codesign_sim import Block, FingerTargets, Material, Simulator, SurfaceMesh
+from codesign_policy.simulated_fingers import simulated_fingers
+from codesign_sim import Block, FingerTargets, Material, Simulator
 
 
 @dataclass(frozen=True)
@@ -42,24 +44,19 @@ class SimulatedCell:
         self.fingers = fingers
         self._arm = Xarm7()
         self.simulator = Simulator(
-            Block.tofu(config.tetrahedra), _surfaces(fingers), table_height=config.table_height
+            Block.tofu(config.tetrahedra),
+            simulated_fingers(fingers),
+            table_height=config.table_height,
         )
         self._arm_model = ArmModel(
             self._arm, ArmModelConfig(order=2, time_constant=config.arm_lag), config.home
         )
-        self.gripper = GripperModel(fingers.protrusion, width=config.open_width)
-        self.gripper_velocity = 0.0
-        self._command = config.home.copy()
-        self._width_command, self._width_speed = config.open_width, config.gripper_speed
+        self._park()
 
     def reset(self, domain: TrialDomain) -> None:
         """Arm to its start posture, gripper open, a new block at rest on the table."""
-        config = self.config
-        self._arm_model.reset(config.home)
-        self.gripper = GripperModel(self.fingers.protrusion, width=config.open_width)
-        self.gripper_velocity = 0.0
-        self._command = config.home.copy()
-        self._width_command, self._width_speed = config.open_width, config.gripper_speed
+        self._arm_model.reset(self.config.home)
+        self._park()
         self.simulator.reset(
             Material(
                 young_modulus=domain.young_modulus,
@@ -72,11 +69,34 @@ class SimulatedCell:
             fingers=self.finger_targets(),
         )
 
+    def _park(self) -> None:
+        """Gripper open, nothing asked of it or of the arm."""
+        self.gripper = mounted(self.fingers, self.config.open_width)
+        self.gripper_velocity = 0.0
+        self._command = self.config.home.copy()
+        self._width_command, self._width_speed = self.gripper.width, self.config.gripper_speed
+
     def set_fingers(self, fingers: FingerPair) -> None:
-        """Swaps the fingers; takes effect at once, so do it between trials."""
-        self.simulator.set_fingers(*_surfaces(fingers))
+        """Swaps the fingers; call `reset` next: the block has no place between them yet.
+
+        Raises:
+            ValueError: meshes that the simulator cannot use, or no room to open; the old fingers
+                stay.
+        """
+        self.check_fingers(fingers)
+        self.simulator.set_fingers(*simulated_fingers(fingers))
         self.fingers = fingers
-        self.gripper = GripperModel(fingers.protrusion, width=self.gripper.width)
+        self._park()
+
+    @staticmethod
+    def check_fingers(fingers: FingerPair) -> None:
+        """Whether `set_fingers` would take them.
+
+        Raises:
+            ValueError: meshes that the simulator cannot use, or no room to open.
+        """
+        simulated_fingers(fingers)
+        mounted(fingers)
 
     def command_joints(self, position: NDArray[np.float64]) -> None:
         """New set-point of the arm, (7,) [rad].
@@ -97,7 +117,7 @@ class SimulatedCell:
         """
         if not np.isfinite([width, speed]).all() or speed < 0.0:
             raise ValueError(f"gripper command {width} m at {speed} m/s: must be finite")
-        self._width_command = float(np.clip(width, self.fingers.min_width, self.fingers.max_width))
+        self._width_command = self.gripper.clip(width)
         self._width_speed = speed or self.config.gripper_speed
 
     def tick(self, duration: float) -> None:
@@ -135,10 +155,3 @@ class SimulatedCell:
             quaternion=quaternion[None],
             width=np.array([self.gripper.width]),
         )
-
-
-def _surfaces(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
-    def surface(mesh: TriangleMesh) -> SurfaceMesh:
-        return SurfaceMesh(vertices=mesh.vertices, faces=mesh.faces)
-
-    return surface(fingers.left), surface(fingers.right)
