@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +14,13 @@ if TYPE_CHECKING:
     from codesign_sim.validation import Check
 
 app = typer.Typer(help="The soft-body simulator.", no_args_is_help=True)
+
+
+class Peer(StrEnum):
+    """Simulators to compare with."""
+
+    MUJOCO = "mujoco"
+
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
 
@@ -24,6 +33,7 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Compare the simulator with solutions known from mechanics (about half a minute)."""
+    from codesign_cli.sim_tables import print_checks
     from codesign_sim import validation
 
     unknown = [name for name in case or [] if name not in validation.CASES]
@@ -35,37 +45,88 @@ def validate(
     if as_json:
         typer.echo(json.dumps({"passed": passed, "cases": [c.as_dict() for c in checks]}, indent=2))
     else:
-        _print_checks(checks)
+        print_checks(checks)
     if not passed:
         raise typer.Exit(1)
 
 
 @app.command()
 def bench(
+    peer: Annotated[
+        Peer | None, typer.Option(help="Time this simulator's soft body, too, in the same run.")
+    ] = None,
+    device: Annotated[str, typer.Option(help="cpu, or cuda for the GPU beside it.")] = "cpu",
+    seconds: Annotated[float, typer.Option(min=0.1, help="Wall time per row, at least.")] = 3.0,
     as_json: JsonOption = False,
-    seconds: Annotated[float, typer.Option(min=0.1, help="Wall time per measurement.")] = 3.0,
 ) -> None:
-    """Measure control steps per second (20 Hz steps with stress, fingers in contact)."""
-    from codesign_sim.bench import measure
-    from codesign_sim.kernels import LANES
+    """Measure control steps per second: 20 Hz steps of closing, lifting and holding, with stress.
 
-    rates = [measure(tets, count, seconds) for tets in (600, 2400) for count in LANES]
-    if as_json:
-        typer.echo(json.dumps({"rates": [asdict(rate) for rate in rates]}, indent=2))
+    One environment and a full vector of them, in one and two processes. Figures per CPU second
+    are those to compare on a busy machine.
+
+    Examples: codesign sim bench --peer mujoco; codesign sim bench --json --seconds 10
+    """
+    from codesign_cli.sim_tables import print_rates
+    from codesign_design.stock import stock_fingers
+    from codesign_sim import SurfaceMesh, bench, warm_up
+
+    pair = stock_fingers()
+    left, right = (SurfaceMesh(m.vertices, m.faces) for m in (pair.left, pair.right))
+    warm_up()
+    with _bar() as step:
+        cases = bench.cases(device, peer and peer.value)
+        results = bench.run(cases, (left, right), seconds, progress=step)
+    machine, ratios = bench.describe_machine(), bench.ratios(results)
+    if not as_json:
+        print_rates(results, machine, ratios)
         return
-    from rich.console import Console
-    from rich.table import Table
+    report: dict[str, object] = {
+        "machine": machine,
+        "results": [result.as_dict() for result in results],
+    }
+    if ratios:
+        report["ratio_vs_mujoco_flex"] = ratios[600]
+        report["ratio_vs_mujoco_flex_by_tets"] = ratios
+    typer.echo(json.dumps(report, indent=2))
 
-    table = Table("tetrahedra", "environments", "steps/s", "steps/CPU s", "x real time")
-    for rate in rates:
-        table.add_row(
-            f"{rate.tets:,}",
-            str(rate.environments),
-            f"{rate.control_steps_per_second:.0f}",
-            f"{rate.control_steps_per_cpu_second:.0f}",
-            f"{rate.single_core_real_time_factor:.1f}",
-        )
-    Console().print(table)
+
+@app.command()
+def sensitivity(
+    width: Annotated[float, typer.Option(help="Gap the fingers close to [m].")] = 0.026,
+    friction: Annotated[float, typer.Option(help="Coulomb coefficient.")] = 0.5,
+    tets: Annotated[int, typer.Option(help="Tetrahedra: 600, 2400 or 8100.")] = 2400,
+    as_json: JsonOption = False,
+) -> None:
+    """Show how the held block's stress depends on a flat pad's dimensions.
+
+    Central finite differences around a pad of the stock finger's size; every perturbed pair is one
+    environment of a single simulation.
+
+    Examples: codesign sim sensitivity; codesign sim sensitivity --width 0.0265 --json
+    """
+    from codesign_cli.sim_tables import print_gradient
+    from codesign_sim import Block, Material
+    from codesign_sim.pads import PARAMETERS, flat_pads
+    from codesign_sim.sensitivity import Grasp, stress_gradient
+
+    try:
+        grasp = Grasp(width, material=Material(friction=friction), block=Block.tofu(tets))
+        with _bar() as step:
+            gradient = stress_gradient(
+                lambda p: flat_pads(*p),
+                [parameter.value for parameter in PARAMETERS],
+                [parameter.step for parameter in PARAMETERS],
+                grasp,
+                progress=lambda done, total: step("grasp", done, total),
+            )
+    except ValueError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(2) from None
+    if as_json:
+        names = [parameter.name for parameter in PARAMETERS]
+        typer.echo(json.dumps({"names": names, **gradient.as_dict()}, indent=2))
+    else:
+        print_gradient(PARAMETERS, gradient)
 
 
 @app.command()
@@ -78,42 +139,28 @@ def warm_up() -> None:
 
 def _with_progress(names: list[str]) -> list[Check]:
     """Runs the cases; a bar on standard error shows the time left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
     from codesign_sim import validation, warm_up
 
     checks: list[Check] = []
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        seconds = [validation.CASES[name][1] for name in names]
-        task = progress.add_task("compiling", total=sum(seconds))
+    seconds = [validation.CASES[name][1] for name in names]
+    with _bar() as step:
+        step("compiling", 0, sum(seconds))
         warm_up()
-        for name, share in zip(names, seconds, strict=True):
-            progress.update(task, description=name)
+        for k, name in enumerate(names):
+            step(name, sum(seconds[:k]), sum(seconds))
             checks += next(validation.run([name]))[1]
-            progress.advance(task, share)
     return checks
 
 
-def _print_checks(checks: list[Check]) -> None:
+@contextmanager
+def _bar() -> Iterator[Callable[[str, float, float], None]]:
+    """A bar on standard error; call what it yields with (what, steps done, steps in all)."""
     from rich.console import Console
-    from rich.table import Table
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    table = Table("case", "expected", "measured", "tolerance", "unit", "verdict")
-    for column in table.columns[1:4]:
-        column.justify = "right"
-    for check in checks:
-        verdict = "[green]passed[/]" if check.passed else "[bold red]FAILED[/]"
-        table.add_row(
-            check.name,
-            f"{'>= ' if check.at_least else ''}{check.expected:.5g}",
-            f"{check.measured:.5g}",
-            f"{check.tolerance:.2g}",
-            check.unit,
-            verdict,
+    columns = (TextColumn("{task.description:>16}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("starting", total=None)
+        yield lambda what, done, total: progress.update(
+            task, description=what, completed=done, total=total
         )
-    console = Console()
-    console.print(table)
-    failed = sum(not check.passed for check in checks)
-    console.print(f"{len(checks) - failed} of {len(checks)} passed")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import trimesh
 
@@ -10,6 +12,34 @@ from codesign_sim.mesh import SurfaceMesh
 
 DEPTH = 0.01  # m, from the face to the back
 _FILLET_POINTS = 5
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A dimension to vary.
+
+    Attributes:
+        name: of the argument of `flat_pads`.
+        value, step: where to differentiate and by what difference, m or rad.
+        scale, unit: for people: `value / scale` is in `unit`.
+    """
+
+    name: str
+    value: float
+    step: float
+    scale: float
+    unit: str
+
+
+# A flat pad of the xArm stock finger's size, in the order of `flat_pads`. Steps reach over
+# the unevenness that contact points and the 1 mm distance grid leave at 2,400 tetrahedra.
+PARAMETERS = (
+    Parameter("width", 0.0295, 2e-3, 1e-3, "mm"),
+    Parameter("height", 0.0375, 2e-3, 1e-3, "mm"),
+    Parameter("edge radius", 0.0015, 0.5e-3, 1e-3, "mm"),
+    Parameter("offset", 0.0, 2e-3, 1e-3, "mm"),
+    Parameter("tilt", 0.0, np.radians(0.5), np.radians(1), "deg"),
+)
 
 
 def flat_pads(

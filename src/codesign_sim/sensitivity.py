@@ -87,6 +87,16 @@ class StressGradient:
     lanes: int
     cpu_seconds: float
 
+    def as_dict(self) -> dict[str, object]:
+        """For JSON; null where there is no derivative."""
+        values = {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
+        for name in ("top10_gradient", "median_gradient"):
+            values[name] = [None if np.isnan(v) else v for v in getattr(self, name).tolist()]
+        return values
+
 
 def stress_gradient(
     make_fingers: MakeFingers,

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from codesign_cli.sim import app
-from codesign_sim import validation
+from codesign_sim import bench, validation
 from codesign_sim.validation import Check
 
 
@@ -51,15 +51,52 @@ def test_validate_names_an_unknown_case():
     assert "choose from squeeze" in result.output
 
 
+@pytest.fixture
+def quick_bench(monkeypatch):
+    """The smallest case only: the rest is the same, and takes a minute."""
+    monkeypatch.setattr(bench, "cases", lambda device, peer: [bench.Case("codesign", 600, 1, 1)])
+
+
+@pytest.mark.usefixtures("quick_bench")
 def test_bench_prints_rates():
-    rates = json.loads(invoke("bench", "--json", "--seconds", "0.1").stdout)["rates"]
-    assert [(r["tets"], r["environments"]) for r in rates] == [
-        (600, 1),
-        (600, 8),
-        (2400, 1),
-        (2400, 8),
-    ]
-    assert all(r["control_steps_per_second"] > 0 for r in rates)
+    report = json.loads(invoke("bench", "--json", "--seconds", "0.1").stdout)
+    (row,) = report["results"]
+    assert (row["solver"], row["tets"], row["envs"], row["processes"]) == ("codesign", 600, 1, 1)
+    assert row["control_steps_per_second"] > 0
+    assert row["control_steps_per_cpu_second"] > 0
+    assert report["machine"]["lanes"] >= 4
+
+
+def test_bench_prints_a_table_and_the_ratio(monkeypatch):
+    def result(solver, per_cpu):
+        rate = bench.Rate(per_cpu, per_cpu - 1, per_cpu + 1)
+        case = bench.Case(solver, 600, 1, 1)
+        return bench.Result(case, rate, rate, 1e-3, 0.1, 0.0, True, False, 0, 5000)
+
+    results = [result("codesign", 840.0), result("mujoco-flex", 40.0)]
+    monkeypatch.setattr(bench, "run", lambda *arguments, **options: results)
+    printed = invoke("bench", "--peer", "mujoco").stdout
+    assert "600 tetrahedra: 21.0 times MuJoCo flex per CPU second" in printed
+    assert "40 (39-41)" in printed
+    assert "dropped" in printed
+    report = json.loads(invoke("bench", "--peer", "mujoco", "--json").stdout)
+    assert report["ratio_vs_mujoco_flex"] == 21.0
+
+
+def test_sensitivity_prints_json():
+    result = invoke("sensitivity", "--tets", "600", "--json")
+    report = json.loads(result.stdout)
+    assert report["names"] == ["width", "height", "edge radius", "offset", "tilt"]
+    assert len(report["top10_gradient"]) == len(report["median_gradient"]) == 5
+    assert report["lanes"] == 11
+    assert "Pa/mm" in invoke("sensitivity", "--tets", "600").stdout
+
+
+def test_sensitivity_names_what_is_wrong():
+    result = invoke("sensitivity", "--tets", "600", "--width", "0.0299")
+    assert result.exit_code == 2
+    assert "drop the block" in result.output
+    assert "choose one of" in invoke("sensitivity", "--tets", "601").output
 
 
 def test_warm_up_reports_its_parts():
