@@ -1,0 +1,281 @@
+"""RLPD (Ball et al. 2023) for the two-stage task: soft actor-critic with a critic ensemble.
+
+What two stages change, against one joint action of 3N + 7 numbers:
+- Each stage has its own actor, temperature and entropy target, and a log density counts only the
+  numbers that act. Under one target the idle ones would supply the entropy and the active ones
+  would have none.
+- The value of the first control observation comes back to the design stage undiscounted.
+- Idle numbers are zero in stored actions, in targets and in the actors' losses.
+Nothing leads back into the design stage, so every target needs the control actor alone.
+"""
+
+import copy
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from codesign_policy.networks import (
+    ControlActor,
+    CriticEnsemble,
+    DesignActor,
+    Temperature,
+    sample_squashed,
+)
+from codesign_policy.presets import Preset
+from codesign_policy.replay import Batch, Spaces
+
+Stage = Literal["design", "control"]
+
+
+class LearningError(RuntimeError):
+    """Learning left the range of numbers: a loss that is not finite."""
+
+
+@dataclass(frozen=True)
+class DesignChoice:
+    """The design that the critics vouch for most.
+
+    Attributes:
+        index: of the chosen candidate.
+        design: (D,) in [-1, 1].
+        lower_bound: of the candidates' values: mean minus standard deviation over critics, (n,).
+        mean: over the critics, (n,).
+    """
+
+    index: int
+    design: NDArray[np.float32]
+    lower_bound: NDArray[np.float32]
+    mean: NDArray[np.float32]
+
+
+class Agent:
+    """Critics, an actor and a temperature per stage, and how they learn."""
+
+    def __init__(
+        self,
+        spaces: Spaces,
+        preset: Preset,
+        seed: int,
+        start_design: NDArray[np.floating] | None = None,
+    ) -> None:
+        """
+        Args:
+            spaces: sizes.
+            preset: settings.
+            seed: of weights and exploration.
+            start_design: where the design actor starts, (D,) in [-1, 1], such as a demonstration;
+                None: at zero, the base mesh as it is.
+
+        Raises:
+            ValueError: a start design of another size or outside [-1, 1].
+        """
+        self.spaces, self.preset, self.updates = spaces, preset, 0
+        self._random = torch.Generator().manual_seed(seed)
+        start = np.zeros(spaces.design) if start_design is None else np.asarray(start_design)
+        if start.shape != (spaces.design,) or not (np.abs(start) <= 1.0).all():
+            raise ValueError(f"start design {start}: must be {spaces.design} numbers in [-1, 1]")
+        inputs = spaces.observation + spaces.action
+        self.critics = CriticEnsemble(preset.critics, inputs, preset.hidden, self._random)
+        self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
+        self.actors: dict[Stage, nn.Module] = {
+            "design": DesignActor(
+                torch.as_tensor(start, dtype=torch.float32),
+                preset.design_std,
+                preset.design_std_range,
+            ),
+            "control": ControlActor(
+                spaces.observation, spaces.control, preset.hidden, self._random
+            ),
+        }
+        per_parameter = preset.design_entropy_per_parameter
+        self.temperatures: dict[Stage, Temperature] = {
+            "design": Temperature(
+                preset.design_temperature,
+                None if per_parameter is None else per_parameter * spaces.design,
+                preset.design_temperature_range,
+            ),
+            "control": Temperature(preset.control_temperature, preset.control_entropy),
+        }
+        self._networks = {
+            "critics": self.critics,
+            "target_critics": self.target_critics,
+            **{f"{stage}_actor": actor for stage, actor in self.actors.items()},
+            **{f"{stage}_temperature": value for stage, value in self.temperatures.items()},
+        }
+        self._optimizers = {
+            name: torch.optim.Adam(network.parameters(), lr=preset.learning_rate, fused=True)
+            for name, network in self._networks.items()
+            if name != "target_critics"
+        }
+
+    @torch.no_grad()
+    def act(self, observation: NDArray[np.floating], *, explore: bool) -> NDArray[np.float32]:
+        """Control actions (n, 7) in [-1, 1] for observations (n, o); the mean, or drawn."""
+        mean, log_std = self.actors["control"](_tensor(observation))
+        if explore:
+            return sample_squashed(mean, log_std, self._random)[0].numpy()
+        return torch.tanh(mean).numpy()
+
+    @torch.no_grad()
+    def propose_designs(self, observation: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Designs (n, D) in [-1, 1], drawn for design observations (n, o)."""
+        mean, log_std = self.actors["design"](_tensor(observation))
+        return sample_squashed(mean, log_std, self._random)[0].numpy()
+
+    @torch.no_grad()
+    def design_values(
+        self, designs: NDArray[np.floating], observation: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """What each critic expects of designs (n, D) seen from one design observation (o,), (E, n).
+
+        The value is the discounted return of the control stage.
+        """
+        action = self._joint("design", _tensor(designs))
+        return self.critics(_tensor(observation).expand(len(action), -1), action).numpy()
+
+    def choose_design(
+        self, candidates: NDArray[np.floating], observation: NDArray[np.floating]
+    ) -> DesignChoice:
+        """The candidate (n, D) with the highest lower-confidence bound over the critics.
+
+        Where critics disagree they have seen little. What is chosen is to be judged by simulation.
+        """
+        values = self.design_values(candidates, observation)
+        mean = values.mean(axis=0)
+        bound = mean - values.std(axis=0)
+        best = int(bound.argmax())
+        return DesignChoice(best, np.asarray(candidates[best], np.float32), bound, mean)
+
+    def update(self, batch: Batch) -> dict[str, float]:
+        """One update of the critics; every `actor_period`-th time of actors and temperatures too.
+
+        Returns:
+            Losses, values, entropies and temperatures by name, of what was updated.
+
+        Raises:
+            LearningError: a loss that is not finite.
+        """
+        log = self._update_critics(batch)
+        self.updates += 1
+        if self.updates % self.preset.actor_period == 0:
+            log |= self._update_actor("control", batch.pick(batch.in_control))
+            log |= self._update_actor("design", batch.pick(~batch.in_control))
+        return log
+
+    @torch.no_grad()
+    def targets(self, batch: Batch) -> Tensor:
+        """What the critics should answer, (B,): reward and the value of what follows.
+
+        The value is the minimum over a random subset of the target critics. It is discounted
+        within the control stage, not across the design boundary, and bootstrapped at time limits.
+        """
+        mean, log_std = self.actors["control"](batch.next_observation)
+        control, log_density = sample_squashed(mean, log_std, self._random)
+        members = torch.randperm(self.preset.critics, generator=self._random)
+        value = self.target_critics(
+            batch.next_observation,
+            self._joint("control", control),
+            members[: self.preset.critic_subset],
+        ).amin(dim=0)
+        if self.preset.backup_entropy:
+            value = value - self.temperatures["control"].value() * log_density
+        discount = torch.where(batch.in_control, self.preset.discount, 1.0)
+        return batch.reward + discount * ~batch.terminated * value
+
+    def _update_critics(self, batch: Batch) -> dict[str, float]:
+        targets = self.targets(batch)
+        values = self.critics(batch.observation, batch.action)
+        loss = ((values - targets).square() * batch.weight).mean()
+        self._descend("critics", loss)
+        with torch.no_grad():
+            torch._foreach_lerp_(
+                list(self.target_critics.parameters()),
+                list(self.critics.parameters()),
+                self.preset.target_rate,
+            )
+        return {"critic_loss": loss.item(), "value": values.detach().mean().item()}
+
+    def _update_actor(self, stage: Stage, batch: Batch) -> dict[str, float]:
+        """Towards actions that all critics together value, and towards the target entropy."""
+        if not len(batch.weight):
+            return {}
+        temperature = self.temperatures[stage]
+        weight = batch.weight / batch.weight.sum()
+        mean, log_std = self.actors[stage](batch.observation)
+        action, log_density = sample_squashed(mean, log_std, self._random)
+        value = self.critics(batch.observation, self._joint(stage, action)).mean(dim=0)
+        loss = (weight * (temperature.value() * log_density - value)).sum()
+        self._descend(f"{stage}_actor", loss)
+        entropy = -(weight * log_density.detach()).sum()
+        if temperature.target is not None:
+            self._descend(f"{stage}_temperature", temperature.loss(entropy))
+        return {
+            f"{stage}_actor_loss": loss.item(),
+            f"{stage}_entropy": entropy.item(),
+            f"{stage}_temperature": temperature.value(),
+        }
+
+    def _descend(self, name: str, loss: Tensor) -> None:
+        """One step of one network's optimizer; the others' gradients are not even computed."""
+        if not torch.isfinite(loss):
+            raise LearningError(
+                f"loss of {name} is {loss.item()} at update {self.updates}: look for outliers in "
+                "the reward's components, or lower the learning rate"
+            )
+        network, optimizer = self._networks[name], self._optimizers[name]
+        optimizer.zero_grad()
+        loss.backward(inputs=list(network.parameters()))
+        optimizer.step()
+        if isinstance(network, DesignActor | Temperature):
+            network.keep_in_range()
+
+    def _joint(self, stage: Stage, part: Tensor) -> Tensor:
+        """[a_D, a_C] (B, a) from the part that acts in this stage; the idle part is zero."""
+        if stage == "design":
+            return functional.pad(part, (0, self.spaces.control))
+        return functional.pad(part, (self.spaces.design, 0))
+
+    def state(self) -> dict[str, Any]:
+        """Everything that `restore` needs to go on bit for bit, as copies."""
+        state = {
+            "updates": self.updates,
+            "random": self._random.get_state(),
+            "networks": {name: net.state_dict() for name, net in self._networks.items()},
+            "optimizers": {name: opt.state_dict() for name, opt in self._optimizers.items()},
+        }
+        return copy.deepcopy(state)
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes over a `state()`.
+
+        Raises:
+            ValueError: weights of other shapes than this agent's.
+        """
+        for name, network in self._networks.items():
+            require_same_shapes(name, state["networks"][name], network.state_dict())
+        for name, network in self._networks.items():
+            network.load_state_dict(state["networks"][name])
+        for name, optimizer in self._optimizers.items():
+            optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
+        self._random.set_state(state["random"])
+        self.updates = state["updates"]
+
+
+def require_same_shapes(name: str, stored: dict[str, Tensor], mine: dict[str, Tensor]) -> None:
+    """Raises: ValueError: the stored weights of a network do not fit; names the first."""
+    for key in sorted(stored.keys() | mine.keys()):
+        shapes = [tuple(d[key].shape) if key in d else "missing" for d in (stored, mine)]
+        if shapes[0] != shapes[1]:
+            raise ValueError(
+                f"{name}.{key}: stored {shapes[0]}, this agent's {shapes[1]}; use the preset and "
+                "the design space it was trained with"
+            )
+
+
+def _tensor(array: NDArray[Any]) -> Tensor:
+    return torch.from_numpy(np.asarray(array, np.float32))

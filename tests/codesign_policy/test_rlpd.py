@@ -1,0 +1,259 @@
+"""The agent's updates, against values worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from codesign_policy.presets import FAST, PRESETS, PUBLISHED, Preset
+from codesign_policy.replay import Batch, Spaces
+from codesign_policy.rlpd import Agent, LearningError
+
+SPACES = Spaces(observation=4, design=3, control=2)
+SMALL = replace(FAST, hidden=(8,), batch_size=6, actor_period=1)
+
+
+def batch(in_control: list[bool], seed: int = 0, **change: torch.Tensor) -> Batch:
+    random, count = torch.Generator().manual_seed(seed), len(in_control)
+    control = torch.tensor(in_control)
+    action = torch.rand(count, 5, generator=random) * 2 - 1
+    action[control, :3] = 0.0
+    action[~control, 3:] = 0.0
+    rows = Batch(
+        observation=torch.randn(count, 4, generator=random),
+        action=action,
+        in_control=control,
+        reward=torch.randn(count, generator=random),
+        next_observation=torch.randn(count, 4, generator=random),
+        terminated=torch.zeros(count, dtype=torch.bool),
+        weight=torch.ones(count),
+    )
+    return replace(rows, **change)
+
+
+def constant_critics(agent: Agent, values: list[float]) -> None:
+    """Makes target critic k answer values[k], whatever it is asked."""
+    with torch.no_grad():
+        agent.target_critics.weights[-1].zero_()
+        agent.target_critics.biases[-1][:, 0, 0] = torch.tensor(values)
+
+
+def test_targets_of_both_stages() -> None:
+    """y = r + gamma min Q': gamma 0.97 in control, 1 across the boundary, 0 where terminated."""
+    agent = Agent(SPACES, SMALL, 0)
+    constant_critics(agent, [5.0, 4.0])
+    rows = batch(
+        [True, False, True],
+        reward=torch.tensor([1.0, 0.0, 2.0]),
+        terminated=torch.tensor([False, False, True]),
+    )
+    expected = torch.tensor([1.0 + 0.97 * 4.0, 4.0, 2.0])
+    torch.testing.assert_close(agent.targets(rows), expected)
+
+
+def test_targets_with_backup_entropy() -> None:
+    """The control actor's entropy is added to what follows; a wide Gaussian's is known."""
+    preset = replace(SMALL, backup_entropy=True, control_temperature=0.2)
+    agent = Agent(SPACES, preset, 0)
+    constant_critics(agent, [4.0, 4.0])
+    with torch.no_grad():  # mean 0, standard deviation 0.01: tanh is the identity
+        last = agent.actors["control"].layers[-1]
+        last.weight.zero_()
+        last.bias.copy_(torch.tensor([0.0, 0.0, np.log(0.01), np.log(0.01)]))
+    rows = batch([False] * 4000, reward=torch.zeros(4000))
+    entropy = 2 * (0.5 * np.log(2 * np.pi * np.e) + np.log(0.01))
+    # Standard error of the mean of 2 chi-squares / 2 over 4000 draws, times 0.2: 0.003.
+    assert agent.targets(rows).mean().item() == pytest.approx(4.0 + 0.2 * entropy, abs=0.012)
+
+
+def test_the_minimum_is_over_a_random_subset() -> None:
+    """Of members 0..9, the minimum of 2 is k with probability (9 - k) / 45: mean 3 - 1/3."""
+    agent = Agent(SPACES, replace(SMALL, critics=10, critic_subset=2), 0)
+    constant_critics(agent, [float(k) for k in range(10)])
+    rows = batch([False], reward=torch.zeros(1))
+    drawn = torch.cat([agent.targets(rows) for _ in range(1500)])
+    assert drawn.mean().item() == pytest.approx(8.0 / 3.0, abs=4 * drawn.std().item() / 1500**0.5)
+    assert set(drawn.round().int().tolist()) == set(range(9))
+
+
+def test_critic_loss_is_the_weighted_squared_error() -> None:
+    agent = Agent(SPACES, SMALL, 0)
+    with torch.no_grad():
+        agent.critics.weights[-1].zero_()
+        agent.critics.biases[-1][:, 0, 0] = torch.tensor([1.0, -1.0])
+    done = torch.ones(2, dtype=torch.bool)
+    rows = batch(
+        [True, False],
+        reward=torch.tensor([2.0, 0.0]),
+        terminated=done,
+        weight=torch.tensor([1.5, 0.5]),
+    )
+    # (1.5 ((1-2)^2 + (-1-2)^2) + 0.5 (1 + 1)) / 4
+    assert agent.update(rows)["critic_loss"] == pytest.approx((1.5 * 10.0 + 0.5 * 2.0) / 4.0)
+
+
+def test_target_critics_follow_by_tau() -> None:
+    agent = Agent(SPACES, SMALL, 0)
+    before = [p.clone() for p in agent.target_critics.parameters()]
+    agent.update(batch([True] * 4))
+    after = agent.target_critics.parameters()
+    for old, new, critic in zip(before, after, agent.critics.parameters(), strict=True):
+        torch.testing.assert_close(new, 0.99 * old + 0.01 * critic.detach())
+
+
+def test_idle_numbers_get_no_gradient() -> None:
+    """Weights of the idle action numbers stay as they are, to the bit, in either stage alone."""
+    for in_control, idle in ((True, slice(4, 7)), (False, slice(7, 9))):
+        agent = Agent(SPACES, SMALL, 0)
+        before = agent.critics.weights[0].detach().clone()
+        agent.update(batch([in_control] * 6))
+        gradient = agent.critics.weights[0].grad
+        assert gradient is not None
+        assert (gradient[:, idle] == 0.0).all()
+        assert torch.equal(agent.critics.weights[0][:, idle], before[:, idle])
+        assert not torch.equal(agent.critics.weights[0], before)
+
+
+def test_each_stage_moves_its_own_actor_only() -> None:
+    for in_control, mine, other in ((True, "control", "design"), (False, "design", "control")):
+        agent = Agent(SPACES, SMALL, 0)
+        before = {s: [p.clone() for p in a.parameters()] for s, a in agent.actors.items()}
+        log = agent.update(batch([in_control] * 6))
+        moved = {
+            stage: any(
+                not torch.equal(old, new)
+                for old, new in zip(before[stage], agent.actors[stage].parameters(), strict=True)
+            )
+            for stage in before
+        }
+        assert moved == {mine: True, other: False}
+        assert f"{mine}_entropy" in log
+        assert f"{other}_entropy" not in log
+
+
+def test_entropies_count_only_what_acts() -> None:
+    """Both entropies are those of Gaussians of known spread and of their own number of numbers."""
+    agent = Agent(SPACES, replace(SMALL, design_std=0.02, learning_rate=1e-9), 0)
+    with torch.no_grad():
+        last = agent.actors["control"].layers[-1]
+        last.weight.zero_()
+        last.bias.copy_(torch.tensor([0.0, 0.0, np.log(0.01), np.log(0.01)]))
+    log = agent.update(batch([True, False] * 3000))
+    per_number = 0.5 * np.log(2 * np.pi * np.e)
+    assert log["control_entropy"] == pytest.approx(2 * (per_number + np.log(0.01)), abs=0.08)
+    assert log["design_entropy"] == pytest.approx(3 * (per_number + np.log(0.02)), abs=0.08)
+
+
+def test_temperatures() -> None:
+    fixed = Agent(SPACES, SMALL, 0)
+    automatic = Agent(
+        SPACES,
+        replace(
+            SMALL, design_entropy_per_parameter=-0.5, design_temperature_range=(0.0099, 0.0101)
+        ),
+        0,
+    )
+    for _ in range(60):
+        for agent in (fixed, automatic):
+            agent.update(batch([True, False] * 3))
+    assert fixed.temperatures["design"].value() == pytest.approx(0.01)
+    assert automatic.temperatures["design"].target == -1.5
+    # The design's entropy, -4 nats, is below its target: up to the bound and no further.
+    assert automatic.temperatures["design"].value() == pytest.approx(0.0101)
+    assert fixed.temperatures["control"].value() != pytest.approx(SMALL.control_temperature)
+
+
+def test_actors_learn_every_second_update_in_fast() -> None:
+    agent = Agent(SPACES, replace(SMALL, actor_period=2), 0)
+    logs = [agent.update(batch([True, False] * 3)) for _ in range(4)]
+    assert ["control_entropy" in log for log in logs] == [False, True, False, True]
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_presets_hold_together(preset: Preset) -> None:
+    assert preset.critic_subset <= preset.critics
+    assert preset.batch_size % 2 == preset.design_rows % 2 == 0
+    assert 16 <= preset.design_rows <= 32
+    assert preset.design_std_range[0] <= preset.design_std <= preset.design_std_range[1]
+    low, high = preset.design_temperature_range
+    assert low <= preset.design_temperature <= high
+
+
+def test_published_targets_are_half_a_nat_per_number() -> None:
+    agent = Agent(Spaces(29, 21, 7), PUBLISHED, 0)
+    assert agent.temperatures["design"].target == -10.5
+    assert agent.temperatures["control"].target == -3.5
+
+
+def test_design_chosen_by_lower_bound() -> None:
+    """Known values: the higher mean loses where the critics disagree about it."""
+    agent = Agent(SPACES, SMALL, 0)
+    candidates = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.0], [-0.5, 0.5, 0.0]], np.float32)
+    values = np.array([[1.0, 2.0, 6.0], [1.2, 2.0, 0.0]], np.float32)
+    agent.design_values = lambda designs, observation: values  # type: ignore[method-assign]
+    choice = agent.choose_design(candidates, np.zeros(4))
+    np.testing.assert_allclose(choice.mean, [1.1, 2.0, 3.0])
+    np.testing.assert_allclose(choice.lower_bound, [1.0, 2.0, 0.0], atol=1e-6)
+    assert choice.index == 1
+    np.testing.assert_array_equal(choice.design, candidates[1])
+
+
+def test_design_values_are_the_critics() -> None:
+    agent = Agent(SPACES, SMALL, 0)
+    designs, o_d = np.full((2, 3), 0.4, np.float32), np.arange(4, dtype=np.float32)
+    action = torch.tensor([[0.4, 0.4, 0.4, 0.0, 0.0]] * 2)
+    expected = agent.critics(torch.tensor(o_d).expand(2, -1), action).detach().numpy()
+    np.testing.assert_array_equal(agent.design_values(designs, o_d), expected)
+
+
+def test_actions_are_bounded_and_exploration_is_seeded() -> None:
+    observation = np.random.default_rng(0).normal(size=(5, 4))
+    one, two = (Agent(SPACES, SMALL, 3) for _ in range(2))
+    np.testing.assert_array_equal(
+        one.act(observation, explore=True), two.act(observation, explore=True)
+    )
+    assert not np.array_equal(
+        one.act(observation, explore=True), one.act(observation, explore=False)
+    )
+    designs = one.propose_designs(np.zeros((500, 4)))
+    assert designs.shape == (500, 3)
+    assert np.abs(designs).max() <= 1.0
+    assert designs.std() == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_loss_that_is_not_finite_is_an_error() -> None:
+    agent = Agent(SPACES, SMALL, 0)
+    with pytest.raises(LearningError, match="critics is inf at update 0"):
+        agent.update(batch([True] * 2, reward=torch.tensor([1e30, 0.0])))
+
+
+def test_start_designs_are_checked() -> None:
+    with pytest.raises(ValueError, match="3 numbers"):
+        Agent(SPACES, SMALL, 0, start_design=np.zeros(2))
+    with pytest.raises(ValueError, match=r"\[-1, 1\]"):
+        Agent(SPACES, SMALL, 0, start_design=np.array([0.0, 2.0, 0.0]))
+
+
+def test_restored_agents_go_on_alike() -> None:
+    agent, rows = Agent(SPACES, SMALL, 0), batch([True, False] * 3)
+    for _ in range(3):
+        agent.update(rows)
+    twin = Agent(SPACES, SMALL, 99)
+    twin.restore(agent.state())
+    for _ in range(3):
+        assert agent.update(rows) == twin.update(rows)
+    observation = np.zeros((2, 4))
+    np.testing.assert_array_equal(
+        agent.act(observation, explore=True), twin.act(observation, explore=True)
+    )
+
+
+def test_restoring_other_shapes_is_refused_by_name() -> None:
+    state = Agent(SPACES, SMALL, 0).state()
+    with pytest.raises(
+        ValueError, match=r"critics\.biases\.0: stored \(2, 1, 8\), .* \(2, 1, 16\)"
+    ):
+        Agent(SPACES, replace(SMALL, hidden=(16,)), 0).restore(state)
+    with pytest.raises(ValueError, match=r"design_actor\.log_std: stored \(3,\), .* \(6,\)"):
+        Agent(Spaces(1, 6, 2), SMALL, 0).restore(state)
