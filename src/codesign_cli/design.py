@@ -6,7 +6,11 @@ from typing import Annotated
 
 import typer
 
+from codesign_cli import fitting
+
 app = typer.Typer(help="Finger shapes: fit, look at, build, export.", no_args_is_help=True)
+app.command()(fitting.fit)
+app.command()(fitting.show)
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
 

@@ -2,7 +2,7 @@
 
 import typer
 
-from codesign_cli import control, demo, design, graph, policy, report, sim
+from codesign_cli import control, demo, design, graph, policy, report, reproduce, sim
 
 app = typer.Typer(
     help="End-effector co-design: simulate, control, record and report fragile-object grasps.",
@@ -16,4 +16,5 @@ app.add_typer(control.app, name="control")
 app.add_typer(design.app, name="design")
 app.add_typer(graph.app, name="graph")
 app.add_typer(policy.app, name="policy")
+app.add_typer(reproduce.app, name="reproduce")
 app.add_typer(sim.app, name="sim")

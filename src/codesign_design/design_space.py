@@ -117,17 +117,18 @@ class DesignSpace:
         offsets = self.scale * parameters.reshape(-1, self.handles, 3)
         return self.weights @ (torch.from_numpy(self.rest_handles) + offsets)
 
-    def surface(self, parameters: ArrayLike) -> TriangleMesh:
-        """The left finger's raw surface, moved along y so that its foremost point is at y = 0.
+    def deformed(self, parameters: ArrayLike) -> TriangleMesh:
+        """The left finger's raw surface where the handles put it; raises like `check`.
 
         Closed, but it may intersect itself and carries no mount.
-
-        Raises:
-            ValueError: like `check`.
         """
-        vertices = self.weights.numpy() @ self.handles_at(parameters)
-        vertices[:, 1] -= vertices[:, 1].min()
-        return TriangleMesh(vertices, self.faces)
+        return TriangleMesh(self.weights.numpy() @ self.handles_at(parameters), self.faces)
+
+    def surface(self, parameters: ArrayLike) -> TriangleMesh:
+        """`deformed`, moved along y so that its foremost point is at y = 0."""
+        mesh = self.deformed(parameters)
+        front = mesh.vertices[:, 1].min()
+        return TriangleMesh(mesh.vertices - [0.0, front, 0.0], self.faces)
 
 
 def design_space_names() -> list[str]:

@@ -24,7 +24,8 @@ from codesign_design.design_space import CENTRE, DesignSpace
 from codesign_design.finger_pair import TriangleMesh
 from codesign_design.matching import Rows, Samples, Surface, chamfer_rows, closing_rows, wall_rows
 
-_WITHIN = 0.95  # share of the bounds that a fit may use
+_MOST_TURNED = 1.2  # rad, of a starting cage: a cage turned further needs larger parameters
+_WITHIN = 0.75  # share of the bounds that a fit may use
 _POLISH_SAMPLES = 1500
 _POLISH_STEP = 0.7
 _DAMPING = 1e-5
@@ -181,8 +182,11 @@ class _Problem:
         The first quarter is not turned: targets are often aligned with the base mesh.
         """
         count = self.options.restarts
-        turns = Rotation.random(count, random_state=self.options.seed).as_matrix()
-        turns[: (count + 3) // 4] = np.eye(3)
+        axes = self.draws.normal(size=(count, 3))
+        angles = _MOST_TURNED * self.draws.random(count)
+        angles[: (count + 3) // 4] = 0.0
+        axes *= (angles / np.linalg.norm(axes, axis=1))[:, None]
+        turns = Rotation.from_rotvec(axes).as_matrix()
         base = sample_surface(
             TriangleMesh((self.space.weights @ self.rest).numpy(), self.space.faces), 3000, 0
         )[0]

@@ -43,9 +43,15 @@ def target(name: str) -> TriangleMesh:
         raise ValueError(f"no target {name!r}; choose from {', '.join(_MAKERS)}")
     mesh = _MAKERS[name]().to_mesh()
     vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] * 1e-3
-    vertices[:, 1] -= vertices[:, 1].min()
-    vertices[:, 2] += _Z_CENTRE
-    return TriangleMesh(vertices, np.asarray(mesh.tri_verts, dtype=np.int32))
+    return centred(TriangleMesh(vertices, np.asarray(mesh.tri_verts, dtype=np.int32)))
+
+
+def centred(mesh: TriangleMesh) -> TriangleMesh:
+    """The mesh moved to the stock pad's place: foremost point at y = 0, centred in x and z."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    middle = (low + high) / 2
+    offset = np.array([middle[0], low[1], middle[2] - _Z_CENTRE])
+    return TriangleMesh(mesh.vertices - offset, mesh.faces)
 
 
 def _hull(corners: NDArray[np.float64]) -> Manifold:
