@@ -7,7 +7,9 @@ from codesign_sim.fingers import FingerTargets
 from codesign_sim.material import Material
 from codesign_sim.mesh import SurfaceMesh
 from codesign_sim.simulator import ContactForces, Simulator
+from codesign_sim.soft_object import SoftObject
 from codesign_sim.stress import Stress, StressMeasure
+from codesign_sim.tet_mesh import TetrahedralMesh
 from codesign_sim.warm_up import warm_up
 
 __all__ = [
@@ -17,9 +19,11 @@ __all__ = [
     "Material",
     "SimulationError",
     "Simulator",
+    "SoftObject",
     "Stress",
     "StressMeasure",
     "SurfaceMesh",
+    "TetrahedralMesh",
     "closing_limit",
     "warm_up",
 ]

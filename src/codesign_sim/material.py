@@ -9,8 +9,8 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import eigsh
 
-from codesign_sim.block import Block
 from codesign_sim.checks import require_finite, require_not_negative, require_positive
+from codesign_sim.soft_object import SoftObject
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Material:
 
 
 def stable_time_step(
-    block: Block, material: Material, contact_stiffness: float, stiffness_damping: float
+    block: SoftObject, material: Material, contact_stiffness: float, stiffness_damping: float
 ) -> float:
     """Largest time step in seconds at which the smallest vibration does not grow.
 
@@ -69,7 +69,7 @@ def stable_time_step(
 
 @lru_cache(maxsize=256)
 def _largest_eigenvalue(
-    block: Block, modulus: float, poisson_ratio: float, contact_stiffness: float
+    block: SoftObject, modulus: float, poisson_ratio: float, contact_stiffness: float
 ) -> float:
     """Largest w^2 in rad^2/s^2 of the block at unit density."""
     elastic, contact = _stiffness(block, Material(modulus, poisson_ratio)), _contact_matrix(block)
@@ -80,7 +80,7 @@ def _largest_eigenvalue(
     return 1.002 * float(top)
 
 
-def _stiffness(block: Block, material: Material) -> sparse.csr_matrix:
+def _stiffness(block: SoftObject, material: Material) -> sparse.csr_matrix:
     """Linear elastic stiffness (3N, 3N) at rest."""
     mu, lam = material.lame
     inverse = block.inverse_edges
@@ -94,7 +94,7 @@ def _stiffness(block: Block, material: Material) -> sparse.csr_matrix:
     return _assemble(block.tetrahedra, local, len(block.nodes))
 
 
-def _contact_matrix(block: Block) -> sparse.csr_matrix:
+def _contact_matrix(block: SoftObject) -> sparse.csr_matrix:
     """Penalty matrix (3N, 3N) per unit stiffness with every surface triangle touching."""
     corner = np.full((3, 3), 1 / 6) + np.eye(3) / 2  # shape functions at the three points
     local = np.einsum("qa,qb,ij->aibj", corner, corner, np.eye(3)) / 3

@@ -11,7 +11,6 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from codesign_sim import kernels
-from codesign_sim.block import Block
 from codesign_sim.checks import (
     SimulationError,
     require_finite,
@@ -25,6 +24,7 @@ from codesign_sim.fingers import FingerTargets, path, turn_angle
 from codesign_sim.layout import Layout, zeros
 from codesign_sim.material import Material, stable_time_step
 from codesign_sim.mesh import SurfaceMesh
+from codesign_sim.soft_object import SoftObject
 from codesign_sim.stress import Stress, StressMeasure, summarise
 
 CONTACT_STIFFNESS = 9e6  # Pa of pressure per metre of penetration
@@ -36,6 +36,8 @@ CONTACT_SKIN = 1e-3  # m that points travel before what is near an obstacle is f
 FINGER_TRAVEL = 1e-3  # m per step, the cell of the fingers' distance grid
 SETTLE_TIME = 0.25  # s
 SETTLE_DAMPING = 150.0  # 1/s, about critical for the slowest vibration of the tofu
+_SETTLE_ROUNDS = 6
+_CALM = 2e-4  # m/s, of the fastest node of an object at rest
 _CHUNK = 128  # steps per launch
 _FINGERS, _TABLE = 3, 4  # obstacle bits
 
@@ -62,7 +64,7 @@ class Simulator:
     """Explicit co-rotational finite elements in Warp (paper section III-C).
 
     Args:
-        block: shape and mesh of the soft object.
+        block: the soft object, a `Block` or a `TetrahedralMesh`.
         fingers: (left, right) surfaces, or one such pair per environment, or None for no fingers.
         environments: number of independent copies E, at least 1.
         device: "cpu".
@@ -78,7 +80,7 @@ class Simulator:
 
     def __init__(
         self,
-        block: Block,
+        block: SoftObject,
         fingers: Fingers | Sequence[Fingers] | None = None,
         environments: int = 1,
         device: str = "cpu",
@@ -192,7 +194,7 @@ class Simulator:
         self._place(everyone, materials, position, yaw, shapes)
         self._fingers_at = None
         if settle:
-            self.settle()
+            self._settle_to_rest()
         self._fingers_at = self._within_limits(fingers)
         self.time = 0.0
 
@@ -241,7 +243,7 @@ class Simulator:
     @property
     def _undeformed(self) -> np.ndarray:
         """Node positions (N, 3) of the block on the table as it was cut."""
-        return self.block.nodes + np.array([0, 0, self.block.size[2] / 2])
+        return self.block.nodes + np.array([0, 0, self.block.base_height])
 
     def _place(
         self,
@@ -325,6 +327,14 @@ class Simulator:
         self._require_reset()
         require_positive("duration", duration, (), "s")
         self._run(duration, None, require_not_negative("damping", damping, "1/s"), False)
+        self._scene.velocities.zero_()
+
+    def _settle_to_rest(self) -> None:
+        """Settles as often as a slow object needs; the tofu does at once."""
+        for _ in range(_SETTLE_ROUNDS):
+            self._run(SETTLE_TIME, None, SETTLE_DAMPING, about_rigid=False)
+            if np.abs(self.velocities).max() < _CALM:
+                break
         self._scene.velocities.zero_()
 
     # ---------------------------------------------------------------- stepping
@@ -462,7 +472,7 @@ class Simulator:
     def top_speed(self) -> float:
         """Speed in m/s at which nodes are held, so that violent contact stays bounded."""
         self._require_reset()
-        return CELL_SHARE * self.block.smallest_edge / self.time_step
+        return CELL_SHARE * self.block.cell_size / self.time_step
 
     @property
     def positions(self) -> np.ndarray:
