@@ -94,7 +94,7 @@ def _environment(envs: int, processes: int, tets: int, near: bool) -> VectorEnv:
     from codesign_policy.env_pool import PooledControlEnv
     from codesign_policy.tool import ToolStart
 
-    start = ToolStart(position=(0.45, 0.0, 0.03)) if near else ToolStart()
+    start = ToolStart(position=(0.45, 0.0, 0.02)) if near else ToolStart()
     config = ControlConfig(tetrahedra=tets, start=start)
     if processes == 1:
         return ControlEnv(envs, config=config)

@@ -301,8 +301,8 @@ def _work(
                 _step(env, own)
             else:
                 seed, mask = arguments
-                own["observations"][:], info = env.reset(seed=seed, options={"reset_mask": mask})
-                own["episode_seed"][:] = info["episode_seed"]
+                own["observations"][:], _ = env.reset(seed=seed, options={"reset_mask": mask})
+                own["episode_seed"][:] = env.episode_seeds
             pipe.send(None)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return  # the parent is gone, or has closed
@@ -314,6 +314,7 @@ def _step(env: ControlEnv, own: Mapping[str, NDArray]) -> None:
     observations, rewards, terminated, truncated, info = env.step(own["actions"])
     own["observations"][:], own["rewards"][:] = observations, rewards
     own["terminated"][:], own["truncated"][:] = terminated, truncated
+    own["episode_seed"][:] = env.episode_seeds
     for name in STEP_INFO:
         own[name][:] = info[name]
     own["ended"][:] = False
