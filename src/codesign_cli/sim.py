@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -127,6 +128,45 @@ def sensitivity(
         typer.echo(json.dumps({"names": names, **gradient.as_dict()}, indent=2))
     else:
         print_gradient(PARAMETERS, gradient)
+
+
+@app.command("object")
+def check_object(
+    file: Annotated[
+        Path,
+        typer.Argument(exists=True, dir_okay=False, help="Tetrahedral mesh, any meshio format."),
+    ],
+    scale: Annotated[
+        float, typer.Option(help="Metres per unit of the file; 0.001 for millimetres.")
+    ] = 1.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a tetrahedral mesh of your own and say what simulating it means.
+
+    Mass and time step are those of the paper's tofu. Exit code 1: the mesh cannot be simulated.
+
+    Examples: codesign sim object tofu.msh; codesign sim object tofu_mm.vtu --scale 0.001 --json
+    """
+    import warnings
+
+    from codesign_cli.sim_tables import print_object
+    from codesign_sim import Material, TetrahedralMesh
+    from codesign_sim.object_report import report_on
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        try:
+            mesh = TetrahedralMesh.from_file(file, scale)
+        except ValueError as error:
+            if as_json:
+                typer.echo(json.dumps({"sound": False, "error": str(error)}, indent=2))
+            typer.echo(str(error), err=True)
+            raise typer.Exit(1) from None
+    report, notes = report_on(mesh, Material()), [str(w.message) for w in caught]
+    if as_json:
+        typer.echo(json.dumps({"sound": True, **report.as_dict(), "notes": notes}, indent=2))
+    else:
+        print_object(report, notes)
 
 
 @app.command()

@@ -10,6 +10,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from codesign_sim.bench import Result
+    from codesign_sim.object_report import ObjectReport
     from codesign_sim.pads import Parameter
     from codesign_sim.sensitivity import StressGradient
     from codesign_sim.validation import Check
@@ -83,3 +84,26 @@ def print_gradient(parameters: Sequence[Parameter], gradient: StressGradient) ->
         f"top-10 % {gradient.top10:.0f} Pa, median {gradient.median:.0f} Pa; "
         f"{gradient.lanes} lanes, {gradient.cpu_seconds:.1f} s of CPU"
     )
+
+
+def print_object(report: ObjectReport, notes: Sequence[str]) -> None:
+    """A mesh's figures, and what was noticed while reading it."""
+    table = Table("figure", "value", "unit")
+    table.columns[1].justify = "right"
+    for figure, value, unit in (
+        ("tetrahedra", f"{report.tetrahedra:,}", ""),
+        ("nodes", f"{report.nodes:,}", ""),
+        ("surface triangles, closed", f"{report.surface_triangles:,}", ""),
+        ("size", " x ".join(f"{1e3 * length:.1f}" for length in report.size), "mm"),
+        ("volume", f"{1e6 * report.volume:.3f}", "cm^3"),
+        ("mass", f"{1e3 * report.mass:.2f}", "g"),
+        ("worst quality (1 is regular)", f"{report.worst_quality:.3f}", ""),
+        ("largest over smallest tetrahedron", f"{report.volume_ratio:.1f}", ""),
+        ("contact points apart, at most", f"{1e3 * report.contact_spacing:.2f}", "mm"),
+        ("time step", f"{1e3 * report.time_step:.3f}", "ms"),
+    ):
+        table.add_row(figure, value, unit)
+    console = Console()
+    console.print(table)
+    for note in notes:
+        console.print(note)

@@ -8,16 +8,16 @@ from itertools import product
 
 import numpy as np
 
-from codesign_sim.block import Block
 from codesign_sim.material import Material
 from codesign_sim.simulator import Simulator
+from codesign_sim.soft_object import SoftObject
 
 Range = tuple[float, float]
 _ROUNDING = 1e-9
 
 
 @lru_cache(maxsize=64)
-def rest_shape(block: Block, material: Material) -> np.ndarray:
+def rest_shape(block: SoftObject, material: Material) -> np.ndarray:
     """The block settled under its own weight, (N, 3) m, base centre at the origin.
 
     Simulated alone, with the simulator's default settings. The array is shared and read-only.
@@ -49,7 +49,7 @@ class RestShapes:
 
     def __init__(
         self,
-        block: Block,
+        block: SoftObject,
         young_modulus: Range,
         poisson_ratio: Range,
         friction: Range,
@@ -70,7 +70,7 @@ class RestShapes:
         """
         return np.stack([self._interpolated(material) for material in materials])
 
-    def _settled(self, block: Block, corner: tuple[int, ...]) -> np.ndarray:
+    def _settled(self, block: SoftObject, corner: tuple[int, ...]) -> np.ndarray:
         compliance, poisson_ratio, friction = self._low + np.array(corner) * self._length
         return rest_shape(block, Material(1 / compliance, poisson_ratio, self._density, friction))
 
