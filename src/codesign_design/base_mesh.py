@@ -157,7 +157,7 @@ def _rounded(corners: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArra
         start = corner + a * radius / np.tan(half_angle) - centre
         end = corner + b * radius / np.tan(half_angle) - centre
         turn = np.arctan2(start[0] * end[1] - start[1] * end[0], start @ end)
-        for angle in np.linspace(0.0, turn, 2 + round(2.0 * radius)):
+        for angle in np.linspace(0.0, turn, 2 + int(radius * abs(turn) / 0.6)):
             cos, sin = np.cos(angle), np.sin(angle)
             points.append(centre + start @ np.array([[cos, sin], [-sin, cos]]))
     return np.array(points)

@@ -21,7 +21,7 @@ from codesign_design.finger_pair import TriangleMesh
 from codesign_design.stock import CENTRE_Z_IN_LINK, LINK_Z
 
 CENTRE = np.array([0.0, 0.008, CENTRE_Z_IN_LINK + LINK_Z])  # m, unit space's origin, grasp frame
-DISPLACEMENT_SCALE = 3.0  # units of displacement at parameter 1: fits need up to two thirds of it
+DISPLACEMENT_SCALE = 4.0  # units of displacement at parameter 1: fits need up to three
 PARAMETER_LIMIT = 1.0
 
 

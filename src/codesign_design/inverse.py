@@ -24,10 +24,10 @@ from codesign_design.design_space import CENTRE, DesignSpace
 from codesign_design.finger_pair import TriangleMesh
 from codesign_design.matching import Rows, Samples, Surface, chamfer_rows, closing_rows, wall_rows
 
-_MOST_TURNED = 1.2  # rad, of a starting cage: a cage turned further needs larger parameters
 _WITHIN = 0.75  # share of the bounds that a fit may use
 _POLISH_SAMPLES = 1500
 _POLISH_STEP = 0.7
+_AVERAGED = 10
 _DAMPING = 1e-5
 _ADAM_RATE = 0.02  # units
 
@@ -182,11 +182,8 @@ class _Problem:
         The first quarter is not turned: targets are often aligned with the base mesh.
         """
         count = self.options.restarts
-        axes = self.draws.normal(size=(count, 3))
-        angles = _MOST_TURNED * self.draws.random(count)
-        angles[: (count + 3) // 4] = 0.0
-        axes *= (angles / np.linalg.norm(axes, axis=1))[:, None]
-        turns = Rotation.from_rotvec(axes).as_matrix()
+        turns = Rotation.random(count, random_state=self.options.seed).as_matrix()
+        turns[: (count + 3) // 4] = np.eye(3)
         base = sample_surface(
             TriangleMesh((self.space.weights @ self.rest).numpy(), self.space.faces), 3000, 0
         )[0]
@@ -251,19 +248,24 @@ class _Problem:
         return handles[torch.from_numpy(np.argsort(scores)[:count].copy())]
 
     def polish(self, handles: Tensor) -> tuple[Tensor, list[float]]:
-        """Solves on with the surfaces' true nearest points; the best (N, 3), and the curve."""
-        best, least, since, curve = handles, np.inf, 0, []
+        """Solves on with the surfaces' true nearest points.
+
+        Returns:
+            (N, 3), the mean of the last `_AVERAGED` iterates, which evens out the fresh samples'
+            scatter; and the curve.
+        """
+        iterates, least, since, curve = [handles], np.inf, 0, []
         for _ in range(self.options.polish_iterations):
             rows, distance = self.exact_rows(handles)
             since = 0 if distance < 0.999 * least else since + 1
-            if distance < least:
-                best, least = handles, distance
+            least = min(least, distance)
             curve.append(least * UNIT_LENGTH)
             if since > self.options.patience:
                 break
             step = _solve(rows, handles[None], nearest=0.05e-3, sliding=0.95)[0] - handles
             handles = self.limited(handles + _POLISH_STEP * step)
-        return best, curve
+            iterates.append(handles)
+        return torch.stack(iterates[-_AVERAGED:]).mean(0), curve
 
     def exact_rows(self, handles: Tensor) -> tuple[Rows, float]:
         """Rows of one finger from its surface to the target's and back, and their mean length."""
