@@ -78,15 +78,15 @@ class FingerBank:
     def _upload(self, grids: list[DistanceGrid]) -> None:
         """Puts grids that are not in the pool behind the others, or all into a larger pool."""
         new = {grid: None for grid in grids if grid not in self._offsets}
-        size = sum(grid.values.size for grid in new)
+        size = 2 * sum(grid.values.size for grid in new)
         if self._end + size > self._scene.grids.size:
             new = {grid: None for grids in self._grids for grid in grids}
-            size = sum(grid.values.size for grid in new)
+            size = 2 * sum(grid.values.size for grid in new)
             self._offsets, self._end = {}, 0
             device = self._scene.grids.device
             self._scene.grids = wp.zeros(2 * size, dtype=wp.float32, device=device)
         for grid in new:
-            flat: wp.array = wp.array(grid.values.ravel(), dtype=wp.float32, device="cpu")
+            flat: wp.array = wp.array(_with_neighbours(grid), dtype=wp.float32, device="cpu")
             wp.copy(self._scene.grids, flat, dest_offset=self._end)
             self._offsets[grid] = self._end
             self._end += flat.size
@@ -116,3 +116,10 @@ class FingerBank:
     @property
     def _indices_flat(self) -> np.ndarray:
         return self._layout.grouped(self._indices)
+
+
+def _with_neighbours(grid: DistanceGrid) -> np.ndarray:
+    """Each distance followed by its neighbour's along y, flat: what one load of a kernel takes."""
+    values = grid.values
+    beyond = np.concatenate([values[:, 1:], values[:, -1:]], axis=1)
+    return np.stack([values, beyond], axis=-1).ravel()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,15 @@ wp.config.log_level = 40
 
 _NATIVE = Path(__file__).parent / "native"
 _HEADERS = ["vec3.h", "team.h", "lanes.h", "elements.h", "contact.h", "fem.h"]
+_CPU_INFO = Path("/proc/cpuinfo")
 
-# Environments per vector that the kernels are compiled for. With 1 a vector holds neighbouring
-# items of one environment, with 8 it holds eight environments.
-LANES = (1, 8)
-ITEM_LANES = 8  # as in native/lanes.h
+# Modes of the kernels, the L of native/lanes.h. With 1 a vector holds neighbouring items of one
+# environment, with 8 or 16 it holds as many environments, and in a team the threads of a CUDA block
+# share the items of one environment.
+TEAM = 0
+ITEM_LANES, TEAM_LANES = 8, 32  # items side by side in memory with 1 and with TEAM
+_FEWEST = {16: 9, 8: 4}  # environments from which on so many lanes are the fastest
+_BLOCK = 128  # threads of a team on CUDA
 
 # Order of the settings array, as in native/contact.h.
 SETTINGS = (
@@ -35,25 +41,27 @@ SETTINGS = (
     "contact_skin",
 )
 
-wp.set_module_options(
-    {
+
+def _options() -> dict[str, Any]:
+    return {
         "enable_backward": False,
-        # Contraction to fused multiply-adds, which Warp's default leaves out.
+        # Warp leaves out fused multiply-adds, and compilers halve vectors of 16 on some machines.
         "cpu_compiler_flags": "-march=native -ffp-contract=fast -mprefer-vector-width=512",
         "extra_build_options": wp.ModuleBuildOptions(
             extra_cpu_include_dirs=[str(_NATIVE)],
             extra_cpu_preamble='#include "fem.h"\n',
+            extra_cuda_include_dirs=[str(_NATIVE)],
+            extra_cuda_preamble='#include "fem.h"\n',
             extra_build_dependencies=[str(_NATIVE / name) for name in _HEADERS],
         ),
     }
-)
 
 
 @wp.struct
 class Scene:
     """All arrays of a simulation; layouts are [group][item][component][lane], see lanes.h."""
 
-    lanes: wp.int32
+    threads: wp.int32  # per group
     groups: wp.int32
     tet_items: wp.int32
     triangle_items: wp.int32
@@ -90,41 +98,78 @@ class Scene:
     stresses: wp.array[wp.float32]
 
 
-def _for_each_lane_count(call: str) -> str:
-    cases = " else ".join(f"if (scene.lanes == {n}) codesign::{call}" % n for n in LANES)
-    return cases
+@dataclass(frozen=True)
+class Kernels:
+    """Compiled for one mode, each launched with `threads` threads per group of environments.
+
+    Attributes:
+        advance: all substeps of one advance.
+        stress: von Mises stress of every tetrahedron, both measures.
+        elastic: elastic node forces at the present positions, into `forces`.
+    """
+
+    module: wp.Module
+    advance: wp.Kernel
+    stress: wp.Kernel
+    elastic: wp.Kernel
 
 
-@wp.func_native(_for_each_lane_count("advance<%d>(scene, group);"))
-def _advance(scene: Scene, group: int): ...
+@cache
+def kernels(mode: int) -> Kernels:
+    """The kernels of a mode, in a module of their own: only what is used gets compiled."""
+    module = wp.get_module(f"{__name__}.mode{mode}")
+    wp.set_module_options(_options(), module)
+    made = [_kernel(module, name, mode) for name in ("advance", "stress", "elastic")]
+    return Kernels(module, *made)
 
 
-@wp.func_native(_for_each_lane_count("stress<%d>(scene, group);"))
-def _stress(scene: Scene, group: int): ...
+def _kernel(module: wp.Module, name: str, mode: int) -> wp.Kernel:
+    def call(scene: Scene, group: int): ...
+
+    def run(scene: Scene):
+        native(scene, wp.tid() // scene.threads)  # type: ignore
+
+    call.__name__ = call.__qualname__ = f"_{name}{mode}"
+    native = wp.func_native(f"codesign::{name}<{mode}>(scene, group);")(call)
+    return wp.kernel(run, name=f"{name}{mode}", module=module)
 
 
-@wp.func_native(_for_each_lane_count("elastic<%d>(scene, group);"))
-def _elastic(scene: Scene, group: int): ...
+def threads(device: wp.Device) -> int:
+    """Threads that share one group of environments on a device."""
+    return _BLOCK if device.is_cuda else 1
 
 
-@wp.kernel
-def advance_kernel(scene: Scene):
-    """All substeps of one advance, for one group."""
-    _advance(scene, wp.tid())
+def mode_for(environments: int, device: wp.Device) -> int:
+    """The fastest mode for a number of environments on a device."""
+    if device.is_cuda:
+        return TEAM
+    return next((n for n in vector_lanes() if environments >= _FEWEST[n]), 1)
 
 
-@wp.kernel
-def stress_kernel(scene: Scene):
-    """Von Mises stress of every tetrahedron of one group, both measures."""
-    _stress(scene, wp.tid())
+@cache
+def vector_lanes() -> tuple[int, ...]:
+    """Environments per vector that this machine's registers hold, widest first."""
+    wide = _CPU_INFO.exists() and " avx512f " in _CPU_INFO.read_text()
+    return (16, 8) if wide else (8,)
 
 
-@wp.kernel
-def elastic_kernel(scene: Scene):
-    """Elastic node forces of one group at its present positions, into `forces`."""
-    _elastic(scene, wp.tid())
+def find_device(name: str) -> wp.Device:
+    """The device of that name.
+
+    Raises:
+        ValueError: neither "cpu" nor a CUDA device that is there.
+    """
+    if name != "cpu" and name.partition(":")[0] != "cuda":
+        raise ValueError(f"device is {name!r}; use 'cpu' or 'cuda'")
+    found = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+    if name not in found and not (name == "cuda" and len(found) > 1):
+        raise ValueError(f"no CUDA device {name!r} found, there is {found}; use device='cpu'")
+    return wp.get_device(name)
 
 
-def record(kernel: Any, scene: Any) -> Any:
+def record(kernel: wp.Kernel, scene: Any, device: wp.Device) -> Any:
     """A launch over all groups that can be repeated cheaply with `.launch()`."""
-    return wp.launch(kernel, dim=scene.groups, inputs=[scene], device="cpu", record_cmd=True)
+    size = scene.groups * scene.threads
+    return wp.launch(
+        kernel, size, inputs=[scene], device=device, record_cmd=True, block_dim=scene.threads
+    )

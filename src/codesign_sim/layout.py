@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from codesign_sim.block import Block
-from codesign_sim.kernels import ITEM_LANES, LANES
+from codesign_sim import kernels
+from codesign_sim.soft_object import SoftObject
 
 _ROW = 4  # floats of a node's row: x, y, z and padding
 
@@ -17,22 +17,27 @@ class Layout:
     """Lanes, groups and the order of items for a block in a number of environments.
 
     Attributes:
-        lanes: environments in a vector; 1 means that a vector holds items of one environment.
-        groups: vectors of environments, the unit of a kernel's launch.
-        width: floats in a vector.
+        mode: what the kernels are compiled for, see kernels.py.
+        device: where the arrays are.
+        lanes: environments in a group.
+        groups: the units of a kernel's launch.
+        width: floats side by side in an item's state.
         tets, triangles, nodes: (vectors, lanes with an item of their own) item numbers, -1 where
             a lane has none.
     """
 
-    def __init__(self, block: Block, environments: int) -> None:
+    def __init__(self, block: SoftObject, environments: int, device: str = "cpu") -> None:
         self.block = block
         self.environments = environments
-        # Eight environments fill a vector; fewer than four are faster one after the other.
-        self.lanes = LANES[-1] if environments >= 4 else 1
+        self.device = kernels.find_device(device)
+        self.mode = kernels.mode_for(environments, self.device)
+        self.lanes = max(self.mode, 1)
         self.groups = -(-environments // self.lanes)
-        copies = ITEM_LANES if self.lanes == 1 else 1
-        self.width = ITEM_LANES if self.lanes == 1 else self.lanes
-        self.tets = _spread(len(block.tetrahedra), copies)
+        copies = {1: kernels.ITEM_LANES, kernels.TEAM: kernels.TEAM_LANES}.get(self.mode, 1)
+        self.width = max(copies, self.lanes)
+        # Vectors follow one another; a team's threads take neighbours at the same time.
+        arrange = _packed if self.mode == kernels.TEAM else _spread
+        self.tets = arrange(len(block.tetrahedra), copies)
         self.triangles = _packed(len(block.surface_triangles), copies)
         self.nodes = _packed(len(block.nodes), copies)
         # Lanes beyond the last node get rows of their own, so that no two lanes share one.
@@ -44,32 +49,56 @@ class Layout:
     def describe_block(self, scene: Any) -> None:
         """Puts sizes, topology and rest shape of the block into a scene."""
         block = self.block
-        scene.lanes, scene.groups, scene.node_rows = self.lanes, self.groups, self.rows
+        scene.threads = kernels.threads(self.device)
+        scene.groups, scene.node_rows = self.groups, self.rows
         scene.tet_items, scene.triangle_items = len(self.tets), len(self.triangles)
         scene.node_items = len(self.nodes)
         shapes = _items(
             np.column_stack([block.inverse_edges.reshape(-1, 9), block.volumes]), self.tets
         )
         shapes[:, 9][self.tets < 0] = 0  # a repeated tetrahedron fills the vector with no volume
-        scene.tet_nodes = ints(_items(block.tetrahedra, self.tets))
-        scene.tet_shapes = floats(shapes)
-        scene.triangle_nodes = ints(_items(block.surface_triangles, self.triangles))
+        scene.tet_nodes = self.ints(_items(block.tetrahedra, self.tets))
+        scene.tet_shapes = self.floats(shapes)
+        scene.triangle_nodes = self.ints(_items(block.surface_triangles, self.triangles))
         areas = np.where(self.triangles < 0, 0, block.surface_areas[self.triangles])
-        scene.triangle_areas = floats(areas)
-        scene.node_order = ints(self._node_order)
+        scene.triangle_areas = self.floats(areas)
+        scene.node_order = self.ints(self._node_order)
+        starts, corners = self._corners() if self.mode == kernels.TEAM else (np.zeros(1),) * 2
+        scene.corner_starts, scene.corners = self.ints(starts), self.ints(corners)
 
     def allocate(self, scene: Any, steps: int) -> None:
         """Puts zeroed state and result arrays into a scene, with finger poses for `steps`."""
         lanes, groups, triangles = self.lanes, self.groups, len(self.triangles)
         for name in ("positions", "velocities", "ahead", "forces", "loads"):
-            setattr(scene, name, zeros(groups * self.rows * _ROW * lanes))
-        scene.anchors = zeros(groups * 3 * triangles * 3 * 4 * self.width)
-        scene.near_obstacle = ints(np.zeros(groups * triangles))
-        scene.centres = zeros(groups * 3 * lanes)
-        scene.materials = zeros(groups * 4 * lanes)
-        scene.poses = zeros(steps * groups * 24 * lanes)
-        scene.reports = zeros(groups * 12 * lanes)
-        scene.stresses = zeros(groups * len(self.tets) * 2 * self.width)
+            setattr(scene, name, self.zeros(groups * self.rows * _ROW * lanes))
+        scene.anchors = self.zeros(groups * 3 * triangles * 3 * 4 * self.width)
+        team = self.width if self.mode == kernels.TEAM else 0
+        scene.near_obstacle = self.ints(np.zeros(groups * triangles * max(team, 1)))
+        scene.corner_forces = self.zeros(groups * (12 * len(self.tets) + 9 * triangles) * team)
+        scene.centres = self.zeros(groups * 3 * lanes)
+        scene.materials = self.zeros(groups * 4 * lanes)
+        scene.poses = self.zeros(steps * groups * 24 * lanes)
+        scene.reports = self.zeros(groups * 12 * lanes)
+        scene.stresses = self.zeros(groups * len(self.tets) * 2 * self.width)
+
+    def _corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the corner forces of every node lie, node by node, and where each node's begin."""
+        places, nodes, base = [], [], 0
+        for items, of in (
+            (self.tets, self.block.tetrahedra),
+            (self.triangles, self.block.surface_triangles),
+        ):
+            vectors, lanes = items.shape
+            count = of.shape[1]
+            place = np.arange(vectors)[:, None, None] * count * 3 + np.arange(count) * 3
+            place = base + place * lanes + np.arange(lanes)[:, None]
+            places.append(place[items >= 0].ravel())
+            nodes.append(of[items[items >= 0]].ravel())
+            base += items.size * count * 3
+        node = np.concatenate(nodes)
+        order = np.argsort(node, kind="stable")
+        starts = np.searchsorted(node[order], np.arange(self.rows + 1))
+        return starts, np.concatenate(places)[order]
 
     def node_constants(self, pinned: np.ndarray) -> wp.array:
         """Mass share, 1 / volume, freedom and gravity share of every node; see fem.h."""
@@ -82,7 +111,21 @@ class Layout:
             free * block.load_volumes / block.node_volumes,
         ]
         laid_out = _items(np.stack(constants, axis=1), self.nodes)
-        return floats(np.where((self.nodes < 0)[:, None, :], 0, laid_out))
+        return self.floats(np.where((self.nodes < 0)[:, None, :], 0, laid_out))
+
+    def zeros(self, size: int) -> wp.array:
+        """A zeroed float array."""
+        return wp.zeros(size, dtype=wp.float32, device=self.device)
+
+    def floats(self, values: np.ndarray) -> wp.array:
+        """A flat float array of the values."""
+        flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
+        return wp.array(flat, dtype=wp.float32, device=self.device)
+
+    def ints(self, values: np.ndarray) -> wp.array:
+        """A flat integer array of the values."""
+        flat = np.ascontiguousarray(values, dtype=np.int32).ravel()
+        return wp.array(flat, dtype=wp.int32, device=self.device)
 
     def grouped(self, values: np.ndarray) -> np.ndarray:
         """(E, ...) to [group][...][lane], flat; spare lanes repeat the last environment."""
@@ -164,20 +207,3 @@ def _spread(count: int, copies: int) -> np.ndarray:
 def _items(values: np.ndarray, order: np.ndarray) -> np.ndarray:
     """(items, components) to [vector][component][lane]; lanes without an item repeat the first."""
     return np.moveaxis(values[np.maximum(order, 0)], 1, -1).copy()
-
-
-def zeros(size: int) -> wp.array:
-    """A zeroed float array."""
-    return wp.zeros(size, dtype=wp.float32, device="cpu")
-
-
-def floats(values: np.ndarray) -> wp.array:
-    """A flat float array of the values."""
-    flat = np.ascontiguousarray(values, dtype=np.float32).ravel()
-    return wp.array(flat, dtype=wp.float32, device="cpu")
-
-
-def ints(values: np.ndarray) -> wp.array:
-    """A flat integer array of the values."""
-    flat = np.ascontiguousarray(values, dtype=np.int32).ravel()
-    return wp.array(flat, dtype=wp.int32, device="cpu")

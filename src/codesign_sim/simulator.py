@@ -21,7 +21,7 @@ from codesign_sim.checks import (
 )
 from codesign_sim.finger_bank import FingerBank, Fingers
 from codesign_sim.fingers import FingerTargets, path, turn_angle
-from codesign_sim.layout import Layout, zeros
+from codesign_sim.layout import Layout
 from codesign_sim.material import Material, stable_time_step
 from codesign_sim.mesh import SurfaceMesh
 from codesign_sim.soft_object import SoftObject
@@ -67,7 +67,7 @@ class Simulator:
         block: the soft object, a `Block` or a `TetrahedralMesh`.
         fingers: (left, right) surfaces, or one such pair per environment, or None for no fingers.
         environments: number of independent copies E, at least 1.
-        device: "cpu".
+        device: "cpu", or "cuda" for an NVIDIA GPU ("cuda:1" for the second).
         time_step: longest step in seconds; by default 0.8 of the stability limit, set at reset.
         table_height: z of the table in the world, metres; None for no table.
         gravity: (3,) m/s^2, world frame.
@@ -91,8 +91,6 @@ class Simulator:
         mass_damping: float = MASS_DAMPING,
         contact_stiffness: float = CONTACT_STIFFNESS,
     ) -> None:
-        if device != "cpu":
-            raise ValueError(f"device is {device!r}; only 'cpu' is supported")
         if int(environments) != environments or environments < 1:
             raise ValueError(f"environments is {environments}; use a whole number of at least 1")
         require_not_negative("stiffness damping", stiffness_damping, "s")
@@ -118,11 +116,12 @@ class Simulator:
         self._broken = ""
         self._launches: dict[str, Any] = {}
 
-        self._layout = Layout(block, self.environments)
+        self._layout = Layout(block, self.environments, device)
+        self._kernels = kernels.kernels(self._layout.mode)
         self._origin = np.zeros((self.environments, 3))
         self._mean_forces = np.zeros((self.environments, 3, 3))
         scene: Any = kernels.Scene()
-        scene.settings = zeros(len(kernels.SETTINGS))
+        scene.settings = self._layout.zeros(len(kernels.SETTINGS))
         self._scene = scene
         self._layout.describe_block(scene)
         self._layout.allocate(scene, _CHUNK)
@@ -385,7 +384,7 @@ class Simulator:
             self._scene.settings.assign(
                 np.array([values[k] for k in kernels.SETTINGS], dtype=np.float32)
             )
-            self._launch(kernels.advance_kernel)
+            self._launch(self._kernels.advance)
             totals += count * self._report()[:, :, :3]
         self._mean_forces = totals / substeps
         self._fingers_at = end
@@ -444,7 +443,7 @@ class Simulator:
         """Von Mises stress of every tetrahedron now, and its summary (section III-C)."""
         self._require_reset()
         measure = StressMeasure(measure)
-        self._launch(kernels.stress_kernel)
+        self._launch(self._kernels.stress)
         which = 0 if measure is StressMeasure.CAUCHY else 1
         von_mises = self._layout.per_tetrahedron(self._scene.stresses, which)
         return summarise(von_mises, self.block.volumes, measure)
@@ -465,7 +464,7 @@ class Simulator:
     def elastic_forces(self) -> np.ndarray:
         """Elastic node forces (E, N, 3) in N at the present positions."""
         self._require_reset()
-        self._launch(kernels.elastic_kernel)
+        self._launch(self._kernels.elastic)
         return self._layout.node_vectors(self._scene.forces)
 
     @property
@@ -533,7 +532,7 @@ class Simulator:
 
     def _launch(self, kernel: wp.Kernel) -> None:
         if kernel.key not in self._launches:
-            self._launches[kernel.key] = kernels.record(kernel, self._scene)
+            self._launches[kernel.key] = kernels.record(kernel, self._scene, self._layout.device)
         self._launches[kernel.key].launch()
 
     def _write_state(self, chosen: np.ndarray, local: np.ndarray, velocities: np.ndarray) -> None:
@@ -550,7 +549,7 @@ class Simulator:
     def _write_poses(self, poses: np.ndarray) -> None:
         poses[..., 9:] -= self._origin[None, :, None]
         flat = self._layout.step_values(poses)
-        self._scene.poses.numpy()[: flat.size] = flat
+        wp.copy(self._scene.poses, wp.array(flat, device="cpu", copy=False), count=flat.size)
 
     def _report(self) -> np.ndarray:
         """Force and depth (E, 3 obstacles, 4) of the last launch."""

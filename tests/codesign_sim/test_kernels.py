@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 import codesign_sim
 from codesign_sim import kernels
 
@@ -15,9 +17,12 @@ def test_settings_are_in_the_order_of_the_header():
     assert tuple(name.lower() for name in names) == kernels.SETTINGS
 
 
-def test_items_per_vector_are_those_of_the_header():
-    value = re.search(r"ITEM_LANES = (\d+)", (NATIVE / "lanes.h").read_text())[1]
-    assert int(value) == kernels.ITEM_LANES
+@pytest.mark.parametrize("header", ["lanes.h", "team.h"])
+def test_items_side_by_side_are_those_of_the_header(header):
+    name, value = re.search(
+        r"(ITEM_LANES|TEAM_LANES) = (\d+)", (NATIVE / header).read_text()
+    ).groups()
+    assert int(value) == getattr(kernels, name)
 
 
 def test_every_header_is_part_of_the_cache_key():

@@ -12,7 +12,7 @@ from codesign_sim import FingerTargets, Material, SimulationError, Simulator
     [
         ({"environments": 0}, "environments is 0; use a whole number of at least 1"),
         ({"environments": 1.5}, "environments is 1.5"),
-        ({"device": "tpu"}, "device is 'tpu'; only 'cpu'"),
+        ({"device": "tpu"}, "device is 'tpu'; use 'cpu' or 'cuda'"),
         ({"time_step": -1e-3}, "time step is -0.001 s; it must be above 0"),
         ({"gravity": (0, 0)}, r"gravity has shape \(2,\); it must be \(3,\)"),
         ({"table_height": np.nan}, "table height contains nan"),

@@ -10,7 +10,7 @@ constexpr int QUADRATURE = 3;  // points per surface triangle, exact for quadrat
 constexpr int ANCHOR = 4;  // where the point stuck (obstacle frame), and whether it sticks
 constexpr int POSE = 12;  // rotation (row major) and translation of a finger
 constexpr int GRID = 8;  // origin (3), cells per metre, size in cells (3), unused
-constexpr int GRID_INDEX = 3;  // offset in the pool, stride of y, stride of z
+constexpr int GRID_INDEX = 3;  // offset in the pool, points from y to y + 1, from z to z + 1
 constexpr int REPORT = 4;  // force on the object (3), deepest penetration
 
 // A trilinear distance changes by at most sqrt(3) times the way; and some for rounding.
@@ -65,6 +65,8 @@ template <class F> struct Surface {
     Vec3<F> normal;
 };
 
+// The pool holds, for each grid point, its distance and that of its neighbour along y: so the four
+// corners of a cell's face are side by side.
 template <int L> struct DistanceGrid {
     typedef Lanes<L> W;
     typedef typename W::F F;
@@ -92,15 +94,14 @@ template <int L> struct DistanceGrid {
         const F one = W::broadcast(1.0f), tiny = W::broadcast(1e-20f);
         const I ix = W::whole(u.x), iy = W::whole(u.y), iz = W::whole(u.z);
         const F tx = u.x - W::real(ix), ty = u.y - W::real(iy), tz = u.z - W::real(iz);
-        const I at = grid.offset + ix + grid.stride_y * iy + grid.stride_z * iz;
-        const I edges[4] = { at, at + grid.stride_y, at + grid.stride_z,
-            at + grid.stride_y + grid.stride_z };
-        F mean[4], slope[4];  // along x, on the four edges (y, z) of the cell
-        for (int k = 0; k < 4; ++k) {
-            const F low = W::gather(grid.pool, edges[k]);
-            slope[k] = W::gather(grid.pool, edges[k] + 1) - low;
-            mean[k] = low + tx * slope[k];
-        }
+        const I at = grid.offset + 2 * (ix + grid.stride_y * iy + grid.stride_z * iz);
+        F near[4], far[4];  // (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1) at z and z + 1
+        W::gather(grid.pool, at, near);
+        W::gather(grid.pool, at + 2 * grid.stride_z, far);
+        const F slope[4]
+            = { near[2] - near[0], near[3] - near[1], far[2] - far[0], far[3] - far[1] };
+        const F mean[4] = { near[0] + tx * slope[0], near[1] + tx * slope[1],
+            far[0] + tx * slope[2], far[1] + tx * slope[3] };
         const F low = mean[0] + ty * (mean[1] - mean[0]), high = mean[2] + ty * (mean[3] - mean[2]);
         const F sx = slope[0] + ty * (slope[1] - slope[0]);
         const F sxh = slope[2] + ty * (slope[3] - slope[2]);

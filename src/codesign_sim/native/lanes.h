@@ -37,6 +37,25 @@ template <int W> struct Vector {
 
 typedef Vector<4>::F Float4;
 typedef Vector<4>::UnalignedF UnalignedFloat4;
+typedef Vector<8>::F Float8;
+
+CODESIGN_INLINE Float8 pair(Float4 low, Float4 high) {
+    return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+}
+
+// Transposes eight rows of four.
+CODESIGN_INLINE void columns(const Float4 rows[8], Float8 out[4]) {
+    const Float8 a = pair(rows[0], rows[4]), b = pair(rows[1], rows[5]);
+    const Float8 c = pair(rows[2], rows[6]), d = pair(rows[3], rows[7]);
+    const Float8 ab = __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13);
+    const Float8 cd = __builtin_shufflevector(c, d, 0, 8, 1, 9, 4, 12, 5, 13);
+    const Float8 abh = __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15);
+    const Float8 cdh = __builtin_shufflevector(c, d, 2, 10, 3, 11, 6, 14, 7, 15);
+    out[0] = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13);
+    out[1] = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
+    out[2] = __builtin_shufflevector(abh, cdh, 0, 1, 8, 9, 4, 5, 12, 13);
+    out[3] = __builtin_shufflevector(abh, cdh, 2, 3, 10, 11, 6, 7, 14, 15);
+}
 
 template <class V> CODESIGN_INLINE V root(V a) { return __builtin_elementwise_sqrt(a); }
 template <class M> CODESIGN_INLINE bool any(M mask) { return __builtin_reduce_or(mask) != 0; }
@@ -124,11 +143,21 @@ template <int L> struct Lanes {
 
     CODESIGN_INLINE I whole(F v) { return __builtin_convertvector(v, I); }
     CODESIGN_INLINE F real(I v) { return __builtin_convertvector(v, F); }
-    CODESIGN_INLINE F gather(const float* p, I index) {
-        F v;
-        for (int lane = 0; lane < width; ++lane)
-            v[lane] = p[index[lane]];
-        return v;
+    // Four numbers of each lane, side by side in memory from p[index] on.
+    CODESIGN_INLINE void gather(const float* p, I index, F out[4]) {
+        Float8 part[width / 8][4];
+        for (int k = 0; k < width; k += 8) {
+            Float4 rows[8];
+            for (int lane = 0; lane < 8; ++lane)
+                rows[lane] = *(const UnalignedFloat4*)(p + index[k + lane]);
+            columns(rows, part[k / 8]);
+        }
+        for (int k = 0; k < 4; ++k)
+            if constexpr (width == 8)
+                out[k] = part[0][k];
+            else
+                out[k] = __builtin_shufflevector(part[0][k], part[1][k], 0, 1, 2, 3, 4, 5, 6, 7, 8,
+                    9, 10, 11, 12, 13, 14, 15);
     }
 };
 
@@ -139,16 +168,12 @@ template <int L> struct Nodes {
 
     CODESIGN_INLINE Vec3<F> load(const float* state, const int* node) {
         if constexpr (L == 1) {
-            const UnalignedFloat4* rows = (const UnalignedFloat4*)state;
-            const F a = pair(rows[node[0]], rows[node[4]]), b = pair(rows[node[1]], rows[node[5]]);
-            const F c = pair(rows[node[2]], rows[node[6]]), d = pair(rows[node[3]], rows[node[7]]);
-            const F ab = __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13);
-            const F cd = __builtin_shufflevector(c, d, 0, 8, 1, 9, 4, 12, 5, 13);
-            const F abz = __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15);
-            const F cdz = __builtin_shufflevector(c, d, 2, 10, 3, 11, 6, 14, 7, 15);
-            return { __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13),
-                __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15),
-                __builtin_shufflevector(abz, cdz, 0, 1, 8, 9, 4, 5, 12, 13) };
+            Float4 rows[8];
+            for (int lane = 0; lane < 8; ++lane)
+                rows[lane] = ((const UnalignedFloat4*)state)[node[lane]];
+            F xyz[4];
+            columns(rows, xyz);
+            return { xyz[0], xyz[1], xyz[2] };
         } else {
             const float* p = state + (size_t)node[0] * ROW * L;
             return { W::load(p), W::load(p + L), W::load(p + 2 * L) };
@@ -201,9 +226,6 @@ template <int L> struct Nodes {
     }
 
 private:
-    CODESIGN_INLINE F pair(Float4 low, Float4 high) {
-        return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
-    }
     CODESIGN_INLINE void transpose(Vec3<F> f, Float4 rows[8]) {
         const F zero = W::broadcast(0.0f);
         const F xy = __builtin_shufflevector(f.x, f.y, 0, 8, 1, 9, 4, 12, 5, 13);

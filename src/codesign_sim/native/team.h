@@ -95,7 +95,10 @@ template <> struct Lanes<TEAM> {
     }
     CODESIGN_INLINE I whole(F v) { return (int)v; }
     CODESIGN_INLINE F real(I v) { return (float)v; }
-    CODESIGN_INLINE F gather(const float* p, I index) { return p[index]; }
+    CODESIGN_INLINE void gather(const float* p, I index, F out[4]) {
+        for (int k = 0; k < 4; ++k)
+            out[k] = p[index + k];
+    }
 };
 
 template <> struct Nodes<TEAM> {
