@@ -58,6 +58,10 @@ class Transitions:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
 
+    def pick(self, rows: NDArray[Any] | slice) -> "Transitions":
+        """Some of the rows, by mask, number or slice."""
+        return Transitions(**{name: getattr(self, name)[rows] for name in FIELDS})
+
 
 FIELDS = tuple(f.name for f in fields(Transitions))
 
@@ -111,7 +115,13 @@ class ReplayBuffer:
     @property
     def rows(self) -> Transitions:
         """Views of all stored rows, in the order of the arrays."""
-        return Transitions(*(getattr(self._rows, name)[: self._size] for name in FIELDS))
+        return self._rows.pick(slice(self._size))
+
+    @property
+    def designs(self) -> NDArray[np.float32]:
+        """Every stored design, (n, D), in the order of the arrays."""
+        rows = self.rows
+        return rows.action[~rows.in_control, : self.spaces.design]
 
     def insert(self, rows: Transitions) -> None:
         """Appends rows; the part of the action that is idle in a row's stage is set to zero.

@@ -26,6 +26,7 @@ from codesign_policy.networks import (
     Temperature,
     sample_squashed,
 )
+from codesign_policy.policy_file import TrainedPair
 from codesign_policy.presets import Preset
 from codesign_policy.replay import Batch, Spaces
 
@@ -239,6 +240,21 @@ class Agent:
         if stage == "design":
             return functional.pad(part, (0, self.spaces.control))
         return functional.pad(part, (self.spaces.design, 0))
+
+    def pair(self, design: NDArray[np.floating], about: dict[str, Any]) -> TrainedPair:
+        """The control actor and a design, to be served.
+
+        Args:
+            design: (D,) in [-1, 1], such as that of `choose_design`; empty for given fingers.
+            about: where it comes from, plain values.
+        """
+        layers = list(self.actors["control"].layers)  # type: ignore[arg-type]
+        return TrainedPair(
+            tuple(layer.weight.detach().numpy().T.copy() for layer in layers),
+            tuple(layer.bias.detach().numpy().copy() for layer in layers),
+            np.array(design, np.float32),
+            about,
+        )
 
     def state(self) -> dict[str, Any]:
         """Everything that `restore` needs to go on bit for bit, as copies."""

@@ -1,9 +1,8 @@
 """Rounds: one episode in every lane of an environment, stored as transitions of both stages."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -22,9 +21,9 @@ class Episodes:
         environment: a Gymnasium vector environment of the control stage that does not reset by
             itself (`AutoresetMode.DISABLED`) and gives equal bits for equal seeds and actions.
             Every step's info holds the reward's components as "reward_<name>", (E,); where lanes
-            end, "final_info" holds their metrics as Gymnasium lays them out: (E,) each, and under
-            the same name with an underscore which lanes they are of.
+            end, "final_info" holds their metrics by name, (E,).
         components: names of the reward's components.
+        metrics: names of the final metrics to keep.
         design_observation: o_D, (o,), what the design stage sees. The designs of a round, (E, D)
             in [-1, 1], are then handed to `reset(options={"designs": ...})`. None: fingers are
             given and there is only the control stage.
@@ -32,6 +31,7 @@ class Episodes:
 
     environment: VectorEnv
     components: tuple[str, ...]
+    metrics: tuple[str, ...]
     design_observation: Array | None = None
 
     def __post_init__(self) -> None:
@@ -63,7 +63,7 @@ class Played:
 
     Attributes:
         component_sums: sums of each component over each lane's episode, (E, K).
-        metrics: final metrics by name, (E,) each; NaN where a lane has none.
+        metrics: final metrics by name, (E,) each; NaN where a lane does not know one.
         transitions: of the control stage.
         simulation_seconds: wall time spent in the environment.
     """
@@ -104,7 +104,7 @@ def play_round(
     if designs is not None:
         store.insert(_design_rows(episodes, designs, observation))
     active, sums = np.ones(lanes, dtype=bool), np.zeros((lanes, len(episodes.components)))
-    metrics: dict[str, NDArray[np.float64]] = {}
+    metrics = {name: np.full(lanes, np.nan) for name in episodes.metrics}
     transitions = 0
     while active.any():
         controls = act(observation)
@@ -112,24 +112,24 @@ def play_round(
         following, _, terminated, truncated, info = environment.step(controls)
         simulation += time.perf_counter() - began
         components = np.stack([info[f"reward_{name}"] for name in episodes.components], axis=1)
-        store.insert(
-            Transitions(
-                observation[active],
-                np.pad(controls[active], ((0, 0), (store.spaces.design, 0))),
-                np.ones(int(active.sum()), dtype=bool),
-                components[active],
-                following[active],
-                terminated[active],
-                truncated[active],
-            )
-        )
+        rows = Transitions(
+            observation=observation,
+            action=np.pad(controls, ((0, 0), (store.spaces.design, 0))),
+            in_control=np.ones(lanes, dtype=bool),
+            components=components,
+            next_observation=following,
+            terminated=terminated,
+            truncated=truncated,
+        ).pick(active)
+        store.insert(rows)
         sums[active] += components[active]
-        _take_metrics(metrics, info.get("final_info", {}), active)
-        stored = int(active.sum())
-        transitions += stored
-        active = active & ~(terminated | truncated)
-        observation = following
-        after_step(stored)
+        transitions += len(rows.in_control)
+        ending = active & (terminated | truncated)
+        if ending.any():
+            for name, values in metrics.items():
+                values[ending] = info["final_info"][name][ending]
+        active, observation = active & ~ending, following
+        after_step(len(rows.in_control))
     return Played(sums, metrics, transitions, simulation)
 
 
@@ -148,13 +148,3 @@ def _design_rows(episodes: Episodes, designs: Array, first: Array) -> Transition
         terminated=no,
         truncated=no,
     )
-
-
-def _take_metrics(
-    metrics: dict[str, NDArray[np.float64]], final: Mapping[str, Any], active: NDArray[np.bool_]
-) -> None:
-    """Adds the metrics of the lanes that end now."""
-    for name, values in final.items():
-        if not name.startswith("_"):
-            ending = final[f"_{name}"] & active
-            metrics.setdefault(name, np.full(len(active), np.nan))[ending] = values[ending]

@@ -57,7 +57,7 @@ class ToyEnv(VectorEnv):
         }
         last = np.full(self.num_envs, self._steps >= STEPS)
         if last.any():
-            info["final_info"] = {"success": distance < 0.05, "_success": last}
+            info["final_info"] = {"success": distance < 0.05}
         reward = sum(WEIGHTS[name] * info[f"reward_{name}"] for name in COMPONENTS)
         return self._observations(), reward, np.zeros_like(last), last, info
 
@@ -73,4 +73,4 @@ class ToyEnv(VectorEnv):
 def toy_episodes(lanes: int, *, two_stages: bool = True) -> Episodes:
     """The task with, or without, its design stage."""
     design_observation = np.zeros(5, np.float32) if two_stages else None
-    return Episodes(ToyEnv(lanes), COMPONENTS, design_observation)
+    return Episodes(ToyEnv(lanes), COMPONENTS, ("success",), design_observation)

@@ -1,0 +1,280 @@
+"""The loop on a toy task with a known optimum: rounds, resuming, interruption, learning."""
+
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+from toy_task import BEST, COMPONENTS, SPACES, STEPS, WEIGHTS, ToyEnv, toy_episodes
+
+from codesign_policy.checkpoint import load_checkpoint
+from codesign_policy.interruption import Interruption
+from codesign_policy.presets import FAST
+from codesign_policy.replay import FIELDS, ReplayBuffer, Spaces
+from codesign_policy.rlpd import Agent, LearningError
+from codesign_policy.rounds import Episodes, play_round
+from codesign_policy.training import Progress, Training, TrainingConfig
+
+QUICK = replace(FAST, hidden=(16,), batch_size=16, design_rows=4, start_transitions=40)
+CONFIG = TrainingConfig(transitions=160, reward_weights=WEIGHTS, seed=1, capacity=1000)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def demonstrations() -> ReplayBuffer:
+    """Four episodes at two designs, straight to the target."""
+    buffer, env = ReplayBuffer(SPACES, COMPONENTS, 44), ToyEnv(4)
+    episodes = Episodes(env, COMPONENTS, (), np.zeros(5, np.float32))
+
+    def straight(observation: np.ndarray) -> np.ndarray:
+        away = env.targets() - observation[:, :2]
+        return np.clip(away / 0.2, -1.0, 1.0).astype(np.float32)
+
+    designs = np.array([[0.0, 0.0], [-0.4, 0.1]] * 2, np.float32)
+    play_round(episodes, 0, straight, buffer, designs)
+    return buffer
+
+
+def training(lanes: int = 4, **change: Any) -> Training:
+    agent = Agent(SPACES, QUICK, 0)
+    return Training(agent, toy_episodes(lanes), replace(CONFIG, **change), demonstrations())
+
+
+def test_a_round_stores_both_stages() -> None:
+    buffer, env = ReplayBuffer(SPACES, COMPONENTS, 100), ToyEnv(3)
+    episodes = Episodes(env, COMPONENTS, ("success",), np.full(5, 7.0, np.float32))
+    designs = np.array([[0.3, -0.2], [0.0, 0.5], [1.0, -1.0]], np.float32)
+    stay = np.zeros((3, 2), np.float32)
+    played = play_round(episodes, 5, lambda observation: stay, buffer, designs)
+    rows = buffer.rows
+    assert played.transitions == 3 * STEPS == rows.in_control.sum()
+    np.testing.assert_array_equal(buffer.designs, designs)
+    assert (rows.observation[:3] == 7.0).all()
+    first, _ = env.reset(seed=5, options={"designs": designs})
+    np.testing.assert_array_equal(rows.next_observation[:3], first)
+    np.testing.assert_array_equal(rows.observation[3:6], first)
+    assert rows.truncated[-3:].all()
+    assert not rows.truncated[:-3].any()
+    assert not rows.terminated.any()
+    # Standing still at about the origin, 0.5 from the target: 10 steps of each component.
+    np.testing.assert_allclose(played.component_sums[:, 0], -5.0, atol=0.3)
+    shape = -STEPS * ((designs - BEST) ** 2).sum(axis=1)
+    np.testing.assert_allclose(played.component_sums[:, 1], shape, rtol=1e-5)
+    np.testing.assert_array_equal(played.metrics["success"], [0.0, 0.0, 0.0])
+
+
+class EarlyEnd(ToyEnv):
+    """Lane k terminates after k + 1 steps and then reports nonsense that must not be stored."""
+
+    def step(self, actions: np.ndarray) -> Any:
+        observation, reward, _, truncated, info = super().step(actions)
+        over = self._steps > np.arange(self.num_envs)
+        observation[self._steps > np.arange(self.num_envs) + 1] = np.nan
+        info["final_info"] = {"success": np.full(self.num_envs, float(self._steps))}
+        return observation, reward, over, truncated, info
+
+
+def test_lanes_that_end_early_rest() -> None:
+    buffer = ReplayBuffer(SPACES, COMPONENTS, 100)
+    episodes = Episodes(EarlyEnd(4), COMPONENTS, ("success",))
+    calls: list[int] = []
+    played = play_round(
+        episodes, 0, lambda o: np.zeros((4, 2), np.float32), buffer, after_step=calls.append
+    )
+    assert calls == [4, 3, 2, 1]
+    assert played.transitions == len(buffer) == 10
+    assert buffer.rows.terminated.sum() == 4
+    np.testing.assert_array_equal(played.metrics["success"], [1.0, 2.0, 3.0, 4.0])
+
+
+def test_updates_per_transition_and_their_start() -> None:
+    """A quarter of an update per transition after the first 40; random actions until then."""
+    run = training()
+    rounds: list[Progress] = []
+    run.run(on_round=rounds.append)
+    assert [r.transitions for r in rounds] == [40, 80, 120, 160]
+    assert [r.updates for r in rounds] == [0, 10, 20, 30]
+    assert run.agent.updates == 30
+    assert len(run.experience) == 4 * (4 + 40)
+    first = run.experience.rows.action[4:44, 2:]
+    assert np.abs(first).max() > 0.9  # uniform; the new actor's spread is far smaller
+    assert rounds[0].losses == {}
+    assert {"critic_loss", "control_entropy", "design_entropy"} <= rounds[-1].losses.keys()
+    assert all(set(r.seconds) == {"simulation", "updates", "rest"} for r in rounds)
+    assert rounds[-1].seconds_left == 0.0
+    returns = run.experience.reward(WEIGHTS)[44:88].reshape(-1, 4).sum(axis=0)
+    np.testing.assert_allclose(rounds[1].returns, returns, rtol=1e-5)
+
+
+def test_published_ratio() -> None:
+    agent = Agent(SPACES, replace(QUICK, updates_per_transition=20.0, actor_period=20), 0)
+    run = Training(agent, toy_episodes(2), replace(CONFIG, transitions=44))
+    rounds: list[Progress] = []
+    run.run(on_round=rounds.append)
+    assert rounds[-1].transitions == 60
+    assert rounds[-1].updates == 20 * (60 - 40)
+
+
+def equal(one: Training, two: Training) -> None:
+    """Weights, moments, experience and history, to the bit."""
+    first, second = one.agent.state(), two.agent.state()
+    for kind in ("networks", "optimizers"):
+        flat = [torch.utils._pytree.tree_flatten(state[kind])[0] for state in (first, second)]
+        for a, b in zip(*flat, strict=True):
+            assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
+    assert torch.equal(first["random"], second["random"])
+    for name in FIELDS:
+        np.testing.assert_array_equal(
+            getattr(one.experience.rows, name), getattr(two.experience.rows, name)
+        )
+    assert one.history == two.history
+
+
+@pytest.mark.parametrize("capacity", [1000, 90])  # 90: old rows are overwritten meanwhile
+def test_resuming_equals_never_having_stopped(tmp_path: Path, capacity: int) -> None:
+    whole = training(capacity=capacity)
+    whole.run()
+    begun = training(capacity=capacity)
+    begun.run(tmp_path, stop=lambda: len(begun.history) == 2)
+    assert not begun.done
+    resumed = training(capacity=capacity)
+    resumed.agent = Agent(SPACES, QUICK, 77)  # its own start must not matter
+    resumed.restore(load_checkpoint(tmp_path))
+    resumed.run(tmp_path)
+    equal(whole, resumed)
+    assert len(whole.history) == 4
+
+
+def test_a_finished_run_may_be_given_a_larger_budget(tmp_path: Path) -> None:
+    begun = training(transitions=80)
+    begun.run(tmp_path)
+    more = training(transitions=160)
+    more.restore(load_checkpoint(tmp_path))
+    more.run()
+    whole = training()
+    whole.run()
+    equal(whole, more)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 2}, r"training\.seed was 1 .* is 2 now"),
+        ({"lanes": 8}, "lanes was 4 .* is 8 now"),
+        ({"reward_weights": {"distance": 1.0, "design": 5.0}}, r"reward_weights\.design was 10"),
+    ],
+)
+def test_resuming_with_other_settings_is_refused(
+    tmp_path: Path, change: dict, message: str
+) -> None:
+    begun = training(transitions=40)
+    begun.run(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        training(**change).restore(load_checkpoint(tmp_path))
+
+
+def test_checkpoints_are_written_now_and_then(tmp_path: Path) -> None:
+    run = training(checkpoint_period=0.0)
+    seen = []
+    run.run(tmp_path, on_round=lambda p: seen.append((tmp_path / "checkpoint.pt").exists()))
+    assert seen == [False, True, True, True]
+    table = (tmp_path / "history.csv").read_text().splitlines()
+    assert table[0].startswith("round,transitions,updates,episode_return,success")
+    assert len(table) == 1 + 4
+
+
+def test_an_interruption_ends_the_round_and_saves(tmp_path: Path) -> None:
+    run = training()
+    with Interruption() as interrupted:
+
+        def press(progress: Progress) -> None:
+            if progress.round == 2:
+                os.kill(os.getpid(), signal.SIGINT)
+
+        run.run(tmp_path, on_round=press, stop=interrupted)
+    assert interrupted()
+    assert len(load_checkpoint(tmp_path).state["history"]) == 2
+    with pytest.raises(KeyboardInterrupt):  # handlers are back
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_second_interruption_is_immediate() -> None:
+    with Interruption() as interrupted:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert interrupted()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+class Failing(ToyEnv):
+    """Its worker dies in the third round; or it answers NaN."""
+
+    def __init__(self, num_envs: int, failure: str) -> None:
+        super().__init__(num_envs)
+        self._failure, self._rounds = failure, 0
+
+    def reset(self, **arguments: Any) -> Any:
+        self._rounds += 1
+        return super().reset(**arguments)
+
+    def step(self, actions: np.ndarray) -> Any:
+        if self._rounds == 3 and self._failure == "dies":
+            raise RuntimeError("worker 0 died")
+        answer = super().step(actions)
+        if self._rounds == 3:
+            answer[4]["reward_distance"][1] = np.nan
+        return answer
+
+
+@pytest.mark.parametrize(
+    ("failure", "message"), [("dies", "worker 0 died"), ("nan", r"components\[1, 0\] is nan")]
+)
+def test_failures_of_the_environment_end_the_run(
+    tmp_path: Path, failure: str, message: str
+) -> None:
+    episodes = Episodes(Failing(4, failure), COMPONENTS, (), np.zeros(5, np.float32))
+    config = replace(CONFIG, checkpoint_period=0.0)
+    run = Training(Agent(SPACES, QUICK, 0), episodes, config)
+    with pytest.raises((RuntimeError, ValueError), match=message):
+        run.run(tmp_path)
+    assert len(load_checkpoint(tmp_path).state["history"]) == 2
+
+
+def test_diverging_losses_end_the_run() -> None:
+    run = training(reward_weights={"distance": 1e30, "design": 1.0})
+    with pytest.raises(LearningError, match="critics is inf"):
+        run.run()
+
+
+def test_mismatches_are_named_before_training() -> None:
+    agent = Agent(Spaces(5, 2, 3), QUICK, 0)
+    with pytest.raises(ValueError, match=r"actions have shape \(2,\)"):
+        Training(agent, toy_episodes(2), CONFIG)
+    agent = Agent(SPACES, QUICK, 0)
+    other = ReplayBuffer(Spaces(5, 4, 2), COMPONENTS, 5)
+    with pytest.raises(ValueError, match="demonstrations of"):
+        Training(agent, toy_episodes(2), CONFIG, other)
+    with pytest.raises(ValueError, match="reward weights"):
+        Training(agent, toy_episodes(2), replace(CONFIG, reward_weights={"distance": 1.0}))
+    env = ToyEnv(2)
+    env.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    with pytest.raises(ValueError, match="DISABLED"):
+        Episodes(env, COMPONENTS, ())
+
+
+def test_given_fingers_train_control_alone() -> None:
+    """The design stage trimmed, as in fine-tuning: no design rows, the design actor untouched."""
+    agent = Agent(SPACES, QUICK, 0)
+    episodes = toy_episodes(4, two_stages=False)
+    before = agent.actors["design"].mean.detach().clone()
+    Training(agent, episodes, CONFIG).run()
+    assert agent.updates == 30
+    assert torch.equal(agent.actors["design"].mean, before)
