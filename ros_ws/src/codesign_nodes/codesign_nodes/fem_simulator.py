@@ -66,6 +66,12 @@ class FemSimulator(LeanNode):
         config = CellConfig(
             home=HOME,
             tetrahedra=declare(self, "tetrahedra", 2400, "resolution of the block: 600 or 2400"),
+            object_mesh=declare(
+                self, "object_mesh", "", "tetrahedral mesh file to simulate instead of the block"
+            ),
+            object_scale=declare(
+                self, "object_scale", 1.0, "metres per unit of object_mesh", low=1e-6, high=1e3
+            ),
             table_height=declare(
                 self, "table_height", 0.0, "z of the table in link_base [m]", low=-0.5, high=0.5
             ),

@@ -11,7 +11,14 @@ from codesign_design.finger_pair import FingerPair
 from codesign_nodes.mounted import mounted
 from codesign_policy.domain import TrialDomain
 from codesign_policy.simulated_fingers import simulated_fingers
-from codesign_sim import Block, FingerTargets, Material, Simulator
+from codesign_sim import (
+    Block,
+    FingerTargets,
+    Material,
+    Simulator,
+    SoftObject,
+    TetrahedralMesh,
+)
 
 
 @dataclass(frozen=True)
@@ -20,6 +27,8 @@ class CellConfig:
 
     Attributes:
         tetrahedra: resolution of the block, 600 or 2400.
+        object_mesh: file of a tetrahedral mesh to simulate instead of the block, "" for none.
+        object_scale: metres per unit of that file.
         table_height: z of the table in link_base [m].
         home: posture after a reset, (7,) [rad].
         open_width: gap after a reset [m].
@@ -29,6 +38,8 @@ class CellConfig:
 
     home: NDArray[np.float64]
     tetrahedra: int = 2400
+    object_mesh: str = ""
+    object_scale: float = 1.0
     table_height: float = 0.0
     open_width: float = 0.060
     arm_lag: float = 0.010
@@ -44,7 +55,7 @@ class SimulatedCell:
         self.fingers = fingers
         self._arm = Xarm7()
         self.simulator = Simulator(
-            Block.tofu(config.tetrahedra),
+            _soft_object(config),
             simulated_fingers(fingers),
             table_height=config.table_height,
         )
@@ -155,3 +166,9 @@ class SimulatedCell:
             quaternion=quaternion[None],
             width=np.array([self.gripper.width]),
         )
+
+
+def _soft_object(config: CellConfig) -> SoftObject:
+    if config.object_mesh:
+        return TetrahedralMesh.from_file(config.object_mesh, config.object_scale)
+    return Block.tofu(config.tetrahedra)
