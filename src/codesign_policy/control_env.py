@@ -133,9 +133,8 @@ class ControlEnv(VectorEnv):
         self.fingers = per_lane(fingers, num_envs)
         set_spaces(self)
         self._make_simulator()
-        self._tool = Tool(num_envs, config.lag, TABLE_HEIGHT, config.min_gap)
-        for lane, pair in enumerate(self.fingers):
-            self._tool.set_fingers(lane, pair)
+        self._tool = Tool(num_envs, config.lag, TABLE_HEIGHT)
+        self._tell_tool(range(num_envs))
         self._log = EpisodeLog(num_envs, config.episode_steps)
         self._lane_seeds = np.zeros(num_envs, dtype=np.int64)
         self._episodes = np.full(num_envs, -1)
@@ -176,9 +175,11 @@ class ControlEnv(VectorEnv):
                 seed does, and later ones from that seed and their number. None goes on with the
                 next episode of every lane; at the first reset it stands for a random seed.
             options: "reset_mask", (E,) bool: only these lanes; the others keep their state.
+                "fingers", {lane: FingerPair}: new fingers for lanes that are reset.
         """
         super().reset(seed=seed)
         lanes = self._chosen(options or {})
+        self._swap_fingers((options or {}).get("fingers", {}), lanes)
         if seed is None and (self._episodes[lanes] < 0).any():
             seed = int(self.np_random.integers(2**31))
         if seed is not None:
@@ -194,6 +195,22 @@ class ControlEnv(VectorEnv):
         if not mask.all() and (self._episodes[~mask] < 0).any():
             raise ValueError("reset_mask leaves lanes out that were never reset: reset all first")
         return np.flatnonzero(mask)
+
+    def _swap_fingers(self, fingers: Mapping[int, FingerPair], lanes: Lanes) -> None:
+        if not check_swap(fingers, lanes):
+            return
+        self.fingers = swapped(self.fingers, fingers)
+        chosen = sorted(fingers)
+        pairs = [surfaces(fingers[lane]) for lane in chosen]
+        left, right = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+        self.simulator.set_fingers(left, right, chosen)
+        self._tell_tool(chosen)
+
+    def _tell_tool(self, lanes: Sequence[int]) -> None:
+        limits = self.simulator.closing_limits
+        for lane in lanes:
+            narrowest = max(self.config.min_gap, float(limits[lane]))
+            self._tool.set_fingers(lane, self.fingers[lane], narrowest)
 
     def _start(self, lanes: Lanes) -> None:
         """New episodes in these lanes."""
@@ -380,6 +397,29 @@ def per_lane(fingers: FingerPair | Sequence[FingerPair] | None, count: int) -> l
     if len(designs) > 1:
         raise ValueError(
             f"fingers have {designs} design parameters: give pairs of one design space"
+        )
+    return pairs
+
+
+def check_swap(fingers: Mapping[int, FingerPair], lanes: Lanes) -> Mapping[int, FingerPair]:
+    """New fingers by lane, all of them in lanes that are reset; ValueError otherwise."""
+    stray = sorted(set(fingers) - set(lanes.tolist()))
+    if stray:
+        raise ValueError(f"fingers for lanes {stray}, which are not reset: mask them")
+    return fingers
+
+
+def swapped(fingers: Sequence[FingerPair], new: Mapping[int, FingerPair]) -> list[FingerPair]:
+    """The fingers of all lanes with new ones in some.
+
+    Raises:
+        ValueError: the new ones have another number of design parameters.
+    """
+    pairs = per_lane([new.get(lane, pair) for lane, pair in enumerate(fingers)], len(fingers))
+    if observation_size(pairs) != observation_size(fingers):
+        raise ValueError(
+            f"fingers with {len(pairs[0].parameters)} design parameters in place of "
+            f"{len(fingers[0].parameters)}: make another environment for them"
         )
     return pairs
 

@@ -26,10 +26,12 @@ from codesign_policy.control_env import (
     ControlEnv,
     Info,
     Step,
+    check_swap,
     final_entries,
     observation_size,
     per_lane,
     set_spaces,
+    swapped,
 )
 from codesign_policy.task import scaled_actions
 from codesign_sim import warm_up
@@ -129,10 +131,14 @@ class PooledControlEnv(VectorEnv):
             raise ValueError(f"reset_mask {mask}: give {self.num_envs} flags, at least one True")
         if seed is None and not self._was_reset[mask].all():
             seed = int(self.np_random.integers(2**31))
+        fingers = check_swap((options or {}).get("fingers", {}), np.flatnonzero(mask))
+        self.fingers = swapped(self.fingers, fingers)
         asked = [worker for worker in self._workers if mask[worker.lanes].any()]
         for worker in asked:
-            own = None if seed is None else seed + worker.lanes.start
-            self._send(worker, ("reset", own, mask[worker.lanes]))
+            first, last = worker.lanes.start, worker.lanes.stop
+            own = None if seed is None else seed + first
+            new = {lane - first: pair for lane, pair in fingers.items() if first <= lane < last}
+            self._send(worker, ("reset", own, {"reset_mask": mask[first:last], "fingers": new}))
         self._collect(asked)
         self._was_reset |= mask
         return self._copy("observations"), {"episode_seed": self._copy("episode_seed")}
@@ -300,8 +306,8 @@ def _work(
             if command == "step":
                 _step(env, own)
             else:
-                seed, mask = arguments
-                own["observations"][:], _ = env.reset(seed=seed, options={"reset_mask": mask})
+                seed, options = arguments
+                own["observations"][:], _ = env.reset(seed=seed, options=options)
                 own["episode_seed"][:] = env.episode_seeds
             pipe.send(None)
     except (EOFError, BrokenPipeError, ConnectionResetError):

@@ -40,13 +40,11 @@ class Tool:
         position, quaternion, width: where the tools are, (E, 3) [m], (E, 4) x y z w, (E,) [m].
     """
 
-    def __init__(self, count: int, lag: float, table_height: float, narrowest: float) -> None:
-        """Args: number of lanes; time constant [s], 0 for none; z of the table [m]; smallest gap
-        that can be commanded, whatever the fingers allow [m].
-        """
+    def __init__(self, count: int, lag: float, table_height: float) -> None:
+        """Args: number of lanes; time constant [s], 0 for none; z of the table [m]."""
         self._decay = float(np.exp(-POLICY_PERIOD / lag)) if lag > 0.0 else 0.0
         self._trail = lag / POLICY_PERIOD * (1.0 - self._decay)  # of a step, behind at its end
-        self._table_height, self._narrowest = table_height, narrowest
+        self._table_height = table_height
         self._command, self._turn = np.zeros((count, 3)), np.tile(DOWN, (count, 1))
         self._ahead = np.zeros((count, 6))  # tool from command: m, and rotation vector
         self._hulls = [np.zeros((2, 1, 3))] * count
@@ -55,8 +53,14 @@ class Tool:
         self.position, self.quaternion = self._command.copy(), self._turn.copy()
         self.width = np.zeros(count)
 
-    def set_fingers(self, lane: int, fingers: FingerPair) -> None:
-        """The fingers of a lane, which limit its gap and how low it may go."""
+    def set_fingers(self, lane: int, fingers: FingerPair, narrowest: float = 0.0) -> None:
+        """The fingers of a lane, which limit its gap and how low it may go.
+
+        Args:
+            lane: its index.
+            fingers: the pair.
+            narrowest: smallest gap that can be commanded, whatever the fingers allow [m].
+        """
         left, right = (
             mesh.vertices[ConvexHull(mesh.vertices).vertices]
             for mesh in (fingers.left, fingers.right)
@@ -65,7 +69,7 @@ class Tool:
         self._hulls[lane] = np.stack([_repeated(left, most), _repeated(right, most)])
         most = max(hull.shape[1] for hull in self._hulls)
         self._hull = np.stack([[_repeated(side, most) for side in hull] for hull in self._hulls])
-        self._gaps[lane] = max(fingers.min_width, self._narrowest), fingers.max_width
+        self._gaps[lane] = max(fingers.min_width, narrowest), fingers.max_width
 
     def reset(self, lanes: NDArray[np.int_], start: ToolStart) -> None:
         """Puts tools at their start, standing still."""
@@ -90,9 +94,10 @@ class Tool:
         self.position = command + self._ahead[:, :3]
         self.quaternion = _turned(self._ahead[:, 3:], self._turn)
 
-    def targets(self, lanes: NDArray[np.int_] | slice = slice(None)) -> FingerTargets:
-        """Where the fingers of these lanes are to be."""
-        return FingerTargets(self.position[lanes], self.quaternion[lanes], self.width[lanes])
+    def targets(self, lanes: NDArray[np.int_] | None = None) -> FingerTargets:
+        """Where the fingers of these lanes are to be; None for all."""
+        chosen = np.arange(len(self.width)) if lanes is None else lanes
+        return FingerTargets(self.position[chosen], self.quaternion[chosen], self.width[chosen])
 
     @property
     def opening(self) -> Array:

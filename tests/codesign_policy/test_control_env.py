@@ -1,6 +1,7 @@
 """The control stage as a vector environment."""
 
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
+from codesign_design.stock import stock_fingers
 from codesign_policy.control_env import (
     FINAL_INFO,
     STEP_INFO,
@@ -197,6 +199,34 @@ def test_a_lost_block_ends_the_episode_if_asked_to() -> None:
                 assert info["rise"][0] > 0.03
         assert any(ended) is asked
         assert not any(ended[:40])
+
+
+def test_fingers_are_swapped_in_lanes_that_are_reset() -> None:
+    moves = actions(8, 20, 4)
+    mask = np.array([False, True, False, False])
+    rounder = replace(stock_fingers(edge_radius=0.0014), min_width=0.02)
+    runs = []
+    for new in ({1: rounder}, {}):
+        env = ControlEnv(4, config=LONG)
+        env.reset(seed=0)
+        play(env, moves[:8], 0)
+        env.reset(options={"reset_mask": mask, "fingers": new})
+        runs.append([play(env, moves[8:14], 0), play(env, moves[:6], 1)])
+        if new:
+            assert env.fingers[1] is rounder
+            for _ in range(10):
+                observations, *_ = env.step(np.tile([0, 0, 0, 0, 0, 0, -1.0], (4, 1)))
+            widths = [Observation.from_normalised(o).width for o in observations]
+            assert widths[1] == pytest.approx(0.02)
+            assert widths[0] == pytest.approx(0.01)
+    assert_same_bits(runs[0][0], runs[1][0])
+    stress = 5 * (4 + len(STEP_INFO)) + 4 + list(STEP_INFO).index("top10_stress")
+    assert runs[0][1][stress] != runs[1][1][stress]
+    with pytest.raises(ValueError, match=r"lanes \[2\], which are not reset"):
+        env.reset(options={"reset_mask": mask, "fingers": {2: rounder}})
+    other = replace(rounder, parameters=(0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match=r"design parameters: .* one design space"):
+        env.reset(options={"reset_mask": mask, "fingers": {1: other}})
 
 
 def test_friction_is_drawn_from_its_range() -> None:

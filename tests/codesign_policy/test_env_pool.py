@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codesign_design.stock import stock_fingers
 from codesign_policy.control_env import FINAL_INFO, ControlConfig, ControlEnv
 from codesign_policy.env_pool import PooledControlEnv, WorkerError
 from codesign_policy.tool import ToolStart
@@ -68,7 +69,7 @@ def test_gives_the_bits_of_one_process_and_closes(pool: PooledControlEnv) -> Non
     for step in range(35):  # two episodes end meanwhile, and one reset from outside
         if step == 20:
             mask = np.arange(8) == 6
-            options = {"reset_mask": mask}
+            options = {"reset_mask": mask, "fingers": {6: stock_fingers(edge_radius=0.0014)}}
             for one, other in zip(
                 pool.reset(options=options), alone.reset(options=options), strict=True
             ):

@@ -17,9 +17,9 @@ LAG = 0.08
 
 
 def tool(count: int = 1, lag: float = LAG, start: ToolStart | None = None) -> Tool:
-    made = Tool(count, lag, table_height=0.0, narrowest=0.01)
+    made = Tool(count, lag, table_height=0.0)
     for lane in range(count):
-        made.set_fingers(lane, FINGERS)
+        made.set_fingers(lane, FINGERS, narrowest=0.01)
     made.reset(np.arange(count), start or ToolStart())
     return made
 
