@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOUNT_FACE = 0.019  # m, from the finger link's origin along the closing direction
+MAX_TRIANGLES = 200_000  # of a surface from outside
+SIZES = (0.005, 0.2)  # m, its longest side
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,27 @@ class TriangleMesh:
     def mirrored_y(self) -> "TriangleMesh":
         """The mirror image across the plane y = 0, with its winding turned back outward."""
         return TriangleMesh(self.vertices * [1.0, -1.0, 1.0], self.faces[:, ::-1].copy())
+
+
+def check_surface(mesh: TriangleMesh, name: str) -> None:
+    """Whether a mesh from outside can be a finger.
+
+    Raises:
+        ValueError: too many triangles, not finite, wrong indices, or not of a finger's size.
+    """
+    if not 4 <= len(mesh.faces) <= MAX_TRIANGLES:
+        raise ValueError(
+            f"{name} has {len(mesh.faces)} triangles: must be 4 to {MAX_TRIANGLES}; simplify it"
+        )
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ValueError(f"{name} has a triangle that names a vertex beyond {len(mesh.vertices)}")
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError(f"{name} has a vertex that is not finite")
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    if not SIZES[0] <= size <= SIZES[1]:
+        raise ValueError(
+            f"{name} is {size:g} m long: must be {SIZES[0]} to {SIZES[1]} m; is it in metres?"
+        )
 
 
 @dataclass(frozen=True)

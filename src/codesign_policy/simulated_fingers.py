@@ -13,7 +13,7 @@ from codesign_design.finger_pair import FingerPair, TriangleMesh
 from codesign_policy.finger_plan import LEAST_LIP, front_view
 from codesign_sim import Block, SurfaceMesh
 
-SOLE = 0.002  # m, thicker than contact points ever sink into a surface
+SOLE = 0.0025  # m, thicker than contact points ever sink into a surface
 _CUT = 0.00005  # m above the tips, where the lip's outline is taken
 
 

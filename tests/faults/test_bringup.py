@@ -57,7 +57,7 @@ def assert_gone(pids: list[int]) -> None:
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_everything(sign: signal.Signals) -> None:
     process = start("real", "--quiet")
-    pids = wait_for_children(process, 4)
+    pids = wait_for_children(process, 5)
     process.send_signal(sign)
     assert process.wait(15) == 0
     assert_gone(pids)
@@ -65,7 +65,7 @@ def test_a_signal_stops_everything(sign: signal.Signals) -> None:
 
 def test_a_dead_node_stops_the_others() -> None:
     process = start("real", "--quiet")
-    pids = wait_for_children(process, 4)
+    pids = wait_for_children(process, 5)
     os.kill(pids[1], signal.SIGKILL)
     _, errors = process.communicate(timeout=20)
     assert process.returncode == 3
@@ -75,7 +75,7 @@ def test_a_dead_node_stops_the_others() -> None:
 
 def test_a_killed_bringup_leaves_nothing_behind() -> None:
     process = start("real", "--quiet")
-    pids = wait_for_children(process, 4)
+    pids = wait_for_children(process, 5)
     process.kill()
     process.wait(5)
     assert_gone(pids)

@@ -90,7 +90,7 @@ def test_fingers_are_swapped_and_broken_ones_refused(simulator: Any) -> None:
         for _, array in reversed(simulator.received["/diagnostics"]):
             for status in array.status:
                 if status.name == "/fem_simulator":
-                    return int({v.key: v.value for v in status.values}["commands_rejected"])
+                    return int({v.key: v.value for v in status.values}["designs_refused"])
         return -1
 
     simulator.wait_for(lambda: rejections() == 0, 10.0, "diagnostics")

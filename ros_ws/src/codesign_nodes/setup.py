@@ -3,6 +3,7 @@ from setuptools import setup
 NODES = [
     "cartesian_controller",
     "fem_simulator",
+    "finger_design",
     "policy",
     "trial_recorder",
     "trial_runner",

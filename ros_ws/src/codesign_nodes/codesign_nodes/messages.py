@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from numpy.typing import NDArray
 from shape_msgs.msg import Mesh, MeshTriangle
 
-from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.finger_pair import FingerPair, TriangleMesh, check_surface
 from codesign_policy.domain import TrialDomain
 
 
@@ -98,7 +98,8 @@ def design_from(message: FingerDesign) -> FingerPair:
     """A message as a finger pair.
 
     Raises:
-        ValueError: the content hash does not fit the meshes, or a limit is not finite.
+        ValueError: the content hash does not fit the meshes, a mesh that cannot be a finger (see
+            `check_surface`), or a limit that is not finite.
     """
     fingers = FingerPair(
         name=message.name,
@@ -110,6 +111,8 @@ def design_from(message: FingerDesign) -> FingerPair:
         parameters=tuple(message.parameters),
         mount=message.mount,
     )
+    for side, mesh in (("left", fingers.left), ("right", fingers.right)):
+        check_surface(mesh, f"{side} finger {fingers.name!r}")
     if not 0.0 <= fingers.min_width < fingers.max_width < math.inf:
         raise ValueError(
             f"finger {fingers.name!r}: gap {fingers.min_width}..{fingers.max_width} m, must be "
