@@ -1,4 +1,4 @@
-"""The scenario in MuJoCo's flex, with the fastest settings that we found to lift the tofu.
+"""The scenario in MuJoCo's flex, with the fastest settings found.
 
 Same tetrahedra, Young's modulus, Poisson's ratio, density and friction, every node free. The pads
 are boxes of the fingers' faces, moved by joints of prescribed position and velocity (friction does
@@ -9,7 +9,7 @@ not see how mocap bodies move). Measured with MuJoCo 4.0 on 600 tetrahedra:
 - Elliptic cones are as fast as pyramidal ones, and the block slips less.
 - Contact at MuJoCo's default stiffness is softer than the tofu and never lifts it.
 - Steps of 6.25 ms lift; at 10 ms CG no longer converges. At 2,400 tetrahedra no step of 1.25 to
-  5 ms lifted the block; 5 ms is the longest at which at most a few solves do not converge.
+  5 ms lifted the block; at 5 ms some solves end just above their tolerance (see the warnings).
 
 MuJoCo has no stress of a soft body, so nothing is computed where this simulator computes stress.
 """
