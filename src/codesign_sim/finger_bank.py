@@ -53,14 +53,18 @@ class FingerBank:
 
         Clears the friction anchors on the fingers of the K.
         """
-        for environment, pair in zip(environments, pairs, strict=True):
-            self._grids[environment] = tuple(bake(mesh) for mesh in pair or ())
-            self.closing_limits[environment] = closing_limit(*pair) if pair else 0.0
-            self.radii[environment] = max((mesh.radius for mesh in pair or ()), default=0.0)
-        self._warn_of_thin_walls(environments)
-        self._upload([grid for e in environments for grid in self._grids[e]])
-        for environment, grids in enumerate(self._grids):
-            self._describe(environment, grids)
+        # A mesh that cannot be baked must leave everything as it was.
+        grids = [tuple(bake(mesh) for mesh in pair or ()) for pair in pairs]
+        self.closing_limits[environments] = [closing_limit(*pair) if pair else 0 for pair in pairs]
+        self.radii[environments] = [
+            max((m.radius for m in pair or ()), default=0) for pair in pairs
+        ]
+        for environment, own in zip(environments, grids, strict=True):
+            self._grids[environment] = own
+        _warn_of_thin_walls(grids)
+        moved = self._upload([grid for own in grids for grid in own])
+        for environment in range(len(self._grids)) if moved else environments:
+            self._describe(environment, self._grids[environment])
         self._scene.grid_frames.assign(self._frames_flat)
         self._scene.grid_indices.assign(self._indices_flat)
         self._clear_anchors(environments)
@@ -75,11 +79,15 @@ class FingerBank:
             ]
             self._indices[environment, side] = [self._offsets[grid], nx, nx * ny]
 
-    def _upload(self, grids: list[DistanceGrid]) -> None:
-        """Puts grids that are not in the pool behind the others, or all into a larger pool."""
+    def _upload(self, grids: list[DistanceGrid]) -> bool:
+        """Puts grids that are not in the pool behind the others, or all into a larger pool.
+
+        Returns whether grids that were there before have moved.
+        """
         new = {grid: None for grid in grids if grid not in self._offsets}
         size = 2 * sum(grid.values.size for grid in new)
-        if self._end + size > self._scene.grids.size:
+        full = self._end + size > self._scene.grids.size
+        if full:
             new = {grid: None for grids in self._grids for grid in grids}
             size = 2 * sum(grid.values.size for grid in new)
             self._offsets, self._end = {}, 0
@@ -90,24 +98,13 @@ class FingerBank:
             wp.copy(self._scene.grids, flat, dest_offset=self._end)
             self._offsets[grid] = self._end
             self._end += flat.size
+        return full
 
     def _clear_anchors(self, environments: np.ndarray) -> None:
         anchors, layout = self._scene.anchors.numpy(), self._layout
         by_lane = anchors.reshape(layout.groups, _OBSTACLES, -1, layout.lanes)
         by_lane[environments // layout.lanes, :2, :, environments % layout.lanes] = 0
         self._scene.anchors.assign(anchors)
-
-    def _warn_of_thin_walls(self, environments: np.ndarray) -> None:
-        for environment in environments:
-            for name, grid in zip(("left", "right"), self._grids[environment], strict=False):
-                if grid.thin_area > _THIN_AREA:
-                    place = ", ".join(f"{v * 1e3:.1f}" for v in np.asarray(grid.thin_place))
-                    warnings.warn(
-                        f"{name} finger has {grid.thin_area * 1e6:.0f} mm^2 of walls thinner than "
-                        f"{THINNEST * 1e3:g} mm (thinnest {grid.thinnest * 1e3:.2f} mm, at "
-                        f"{place} mm): the block may pass through them; make them thicker",
-                        stacklevel=4,
-                    )
 
     @property
     def _frames_flat(self) -> np.ndarray:
@@ -123,3 +120,18 @@ def _with_neighbours(grid: DistanceGrid) -> np.ndarray:
     values = grid.values
     beyond = np.concatenate([values[:, 1:], values[:, -1:]], axis=1)
     return np.stack([values, beyond], axis=-1).ravel()
+
+
+def _warn_of_thin_walls(pairs: Sequence[tuple[DistanceGrid, ...]]) -> None:
+    named = {
+        (name, grid) for pair in pairs for name, grid in zip(("left", "right"), pair, strict=False)
+    }
+    for name, grid in sorted(named, key=lambda one: one[0]):
+        if grid.thin_area > _THIN_AREA:
+            place = ", ".join(f"{v * 1e3:.1f}" for v in np.asarray(grid.thin_place))
+            warnings.warn(
+                f"{name} finger has {grid.thin_area * 1e6:.0f} mm^2 of walls thinner than "
+                f"{THINNEST * 1e3:g} mm (thinnest {grid.thinnest * 1e3:.2f} mm, at {place} mm): "
+                "the block may pass through them; make them thicker",
+                stacklevel=4,
+            )

@@ -71,7 +71,7 @@ class SurfaceMesh:
         """Of the whole surface, m^2."""
         return float(np.linalg.norm(self.normals_by_area, axis=1).sum())
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """Largest distance of a vertex from the frame's origin, metres."""
         return float(np.linalg.norm(self.vertices, axis=1).max())

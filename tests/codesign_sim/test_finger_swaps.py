@@ -81,6 +81,17 @@ def test_many_shapes_in_turn(pads):
     assert simulator._scene.grids.size < 2_000_000
 
 
+def test_a_mesh_that_cannot_be_baked_leaves_everything_as_it_was(pads):
+    simulator = held(pads, 2)
+    expected = held(pads, 2)
+    huge = SurfaceMesh.box((0, 0, 0), (20, 20, 50))
+    with pytest.raises(ValueError, match="is the mesh in metres"):
+        simulator.set_fingers([pads[0], huge], [pads[1], huge], environments=[1, 0])
+    for one in (simulator, expected):
+        one.advance(0.05, around(0.025, environments=2))
+    assert np.array_equal(simulator.positions, expected.positions)
+
+
 def test_environments_are_checked(pads):
     simulator = Simulator(SMALL, pads, 2)
     with pytest.raises(ValueError, match="2"):
