@@ -1,4 +1,4 @@
-"""`codesign policy`: policies in the simulated control stage."""
+"""`codesign policy`: policies in the simulated control stage, and how fast they are learned."""
 
 from __future__ import annotations
 
@@ -16,11 +16,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Policies in the simulated control stage.", no_args_is_help=True)
 
 FASTEST = 5.0  # m/s; what lifts tofu at 0.2 m/s has no business being faster
-
-
-@app.callback()
-def _policy() -> None:
-    """Keeps `rollout` a command of its own while it is the only one."""
 
 
 class PolicyName(StrEnum):
@@ -87,6 +82,50 @@ def rollout(
     _print(result, as_json)
     if result.extremes.object_speed > FASTEST:
         raise typer.Exit(1)
+
+
+@app.command()
+def bench(
+    seconds: Annotated[
+        float, typer.Option(min=0.1, help="CPU time per preset, after a warm-up of 2-4 s.")
+    ] = 5.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Measure the learner: updates of the critics per CPU second, one thread, each preset.
+
+    Example: codesign policy bench --json
+    """
+    from dataclasses import asdict
+
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.table import Table
+
+    from codesign_policy.presets import PRESETS
+    from codesign_policy.update_bench import measure
+
+    columns = (TextColumn("{task.description:>10}"), BarColumn(), TimeRemainingColumn())
+    rates = []
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=len(PRESETS))
+        for preset in PRESETS.values():
+            progress.update(task, description=preset.name)
+            rates.append(measure(preset, seconds))
+            progress.advance(task)
+    if as_json:
+        typer.echo(json.dumps({"rates": [asdict(rate) for rate in rates]}, indent=2))
+        return
+    table = Table("preset", "updates/CPU s", "CPU ms/update", "transitions/CPU s")
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for rate in rates:
+        table.add_row(
+            rate.preset,
+            f"{rate.updates_per_cpu_second:.1f}",
+            f"{rate.cpu_ms_per_update:.2f}",
+            f"{rate.transitions_per_cpu_second:.1f}",
+        )
+    Console().print(table)
 
 
 def _environment(envs: int, processes: int, tets: int, near: bool) -> VectorEnv:
