@@ -123,10 +123,8 @@ def _with_neighbours(grid: DistanceGrid) -> np.ndarray:
 
 
 def _warn_of_thin_walls(pairs: Sequence[tuple[DistanceGrid, ...]]) -> None:
-    named = {
-        (name, grid) for pair in pairs for name, grid in zip(("left", "right"), pair, strict=False)
-    }
-    for name, grid in sorted(named, key=lambda one: one[0]):
+    sides = (zip(("left", "right"), pair, strict=False) for pair in pairs)
+    for name, grid in dict.fromkeys(one for side in sides for one in side):
         if grid.thin_area > _THIN_AREA:
             place = ", ".join(f"{v * 1e3:.1f}" for v in np.asarray(grid.thin_place))
             warnings.warn(

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 from small_block import SMALL, around
+from test_closing_limit import scoop
 
 from codesign_sim import Material, Simulator, SurfaceMesh
 
@@ -86,7 +87,8 @@ def test_a_mesh_that_cannot_be_baked_leaves_everything_as_it_was(pads):
     expected = held(pads, 2)
     huge = SurfaceMesh.box((0, 0, 0), (20, 20, 50))
     with pytest.raises(ValueError, match="is the mesh in metres"):
-        simulator.set_fingers([pads[0], huge], [pads[1], huge], environments=[1, 0])
+        simulator.set_fingers([scoop(0.006), huge], [pads[1], huge], environments=[1, 0])
+    assert not simulator.closing_limits.any()
     for one in (simulator, expected):
         one.advance(0.05, around(0.025, environments=2))
     assert np.array_equal(simulator.positions, expected.positions)
