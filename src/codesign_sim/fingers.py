@@ -97,35 +97,18 @@ def turn_angle(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return 2 * np.arccos(np.clip(np.abs((start * end).sum(axis=-1)), 0, 1))
 
 
-def path(start: FingerTargets, end: FingerTargets, fractions: np.ndarray) -> np.ndarray:
-    """Finger poses (S, E, 2, 12) along the straight, constant-speed motion from start to end.
+def motion(start: FingerTargets, end: FingerTargets) -> np.ndarray:
+    """The straight, constant-speed motion from start to end, (E, 18), as native/contact.h has it.
 
-    The last axis holds the rotation matrix row by row and the translation, metres; left finger
-    first.
+    Position (3) and way (3) in metres, first and last quaternion (4 each) the shorter way,
+    width and change of width, half the angle between the quaternions and 1 / its sine.
     """
-    s = fractions[:, None]
-    position = start.position + s[..., None] * (end.position - start.position)
-    width = start.width + s * (end.width - start.width)
-    if np.array_equal(start.quaternion, end.quaternion):
-        still = rotation_matrix(start.quaternion)
-        rotation = np.broadcast_to(still, (len(fractions), *still.shape))
-    else:
-        rotation = rotation_matrix(_slerp(start.quaternion, end.quaternion, s))
-    opening = rotation[..., :, 1] * (width / 2)[..., None]
-    poses = np.empty((len(fractions), len(start), 2, 12))
-    poses[..., :9] = rotation.reshape(*rotation.shape[:2], 1, 9)
-    poses[:, :, 0, 9:] = position + opening
-    poses[:, :, 1, 9:] = position - opening
-    return poses
-
-
-def _slerp(start: np.ndarray, end: np.ndarray, s: np.ndarray) -> np.ndarray:
-    end = np.where((start * end).sum(axis=-1, keepdims=True) < 0, -end, end)
-    angle = turn_angle(start, end)[:, None] / 2
-    s = s[..., None]
-    small = angle < 1e-6
-    sine = np.where(small, 1.0, np.sin(angle))
-    first = np.where(small, 1 - s, np.sin((1 - s) * angle) / sine)
-    second = np.where(small, s, np.sin(s * angle) / sine)
-    blend = first * start + second * end
-    return blend / np.linalg.norm(blend, axis=-1, keepdims=True)
+    backwards = (start.quaternion * end.quaternion).sum(axis=-1, keepdims=True) < 0
+    last = np.where(backwards, -end.quaternion, end.quaternion)
+    # Below a thousandth the weights of the quaternions no longer depend on the angle.
+    half = np.maximum(turn_angle(start.quaternion, end.quaternion) / 2, 1e-3)
+    columns = [
+        *(start.position, end.position - start.position, start.quaternion, last),
+        *(start.width, end.width - start.width, half, 1 / np.sin(half)),
+    ]
+    return np.column_stack(columns)

@@ -37,6 +37,8 @@ SETTINGS = (
     "top_speed",
     "contact_stiffness",
     "obstacle_bits",
+    "fraction",
+    "fraction_step",
     "finger_speed",
     "contact_skin",
 )
@@ -82,7 +84,7 @@ class Scene:
     grids: wp.array[wp.float32]
     grid_frames: wp.array[wp.float32]
     grid_indices: wp.array[wp.int32]
-    poses: wp.array[wp.float32]
+    motions: wp.array[wp.float32]
     # state
     positions: wp.array[wp.float32]
     velocities: wp.array[wp.float32]

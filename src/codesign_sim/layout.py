@@ -66,8 +66,8 @@ class Layout:
         starts, corners = self._corners() if self.mode == kernels.TEAM else (np.zeros(1),) * 2
         scene.corner_starts, scene.corners = self.ints(starts), self.ints(corners)
 
-    def allocate(self, scene: Any, steps: int) -> None:
-        """Puts zeroed state and result arrays into a scene, with finger poses for `steps`."""
+    def allocate(self, scene: Any) -> None:
+        """Puts zeroed state and result arrays into a scene."""
         lanes, groups, triangles = self.lanes, self.groups, len(self.triangles)
         for name in ("positions", "velocities", "ahead", "forces", "loads"):
             setattr(scene, name, self.zeros(groups * self.rows * _ROW * lanes))
@@ -77,7 +77,7 @@ class Layout:
         scene.corner_forces = self.zeros(groups * (12 * len(self.tets) + 9 * triangles) * team)
         scene.centres = self.zeros(groups * 3 * lanes)
         scene.materials = self.zeros(groups * 4 * lanes)
-        scene.poses = self.zeros(steps * groups * 24 * lanes)
+        scene.motions = self.zeros(groups * 18 * lanes)
         scene.reports = self.zeros(groups * 12 * lanes)
         scene.stresses = self.zeros(groups * len(self.tets) * 2 * self.width)
 
@@ -170,12 +170,6 @@ class Layout:
     def node_vectors(self, array: wp.array) -> np.ndarray:
         """Padded rows back to node vectors (E, N, 3)."""
         return self.ungrouped(array, self.rows, _ROW)[:, : len(self.block.nodes), :3]
-
-    def step_values(self, values: np.ndarray) -> np.ndarray:
-        """(S, E, ...) to [step][group][...][lane], flat."""
-        steps = len(values)
-        by_group = self.grouped(np.moveaxis(values, 0, 1)).reshape(self.groups, steps, -1)
-        return np.moveaxis(by_group, 0, 1).ravel()
 
     def per_tetrahedron(self, array: wp.array, measure: int) -> np.ndarray:
         """Stresses [group][tet item][2][lane] of one measure as (E, T)."""

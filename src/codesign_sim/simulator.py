@@ -20,7 +20,7 @@ from codesign_sim.checks import (
     require_positive,
 )
 from codesign_sim.finger_bank import FingerBank, Fingers
-from codesign_sim.fingers import FingerTargets, path, turn_angle
+from codesign_sim.fingers import FingerTargets, motion, turn_angle
 from codesign_sim.layout import Layout
 from codesign_sim.material import Material, stable_time_step
 from codesign_sim.mesh import SurfaceMesh
@@ -124,7 +124,7 @@ class Simulator:
         scene.settings = self._layout.zeros(len(kernels.SETTINGS))
         self._scene = scene
         self._layout.describe_block(scene)
-        self._layout.allocate(scene, _CHUNK)
+        self._layout.allocate(scene)
         self.pin([])
         self._bank = FingerBank(scene, self._layout, device)
         self.set_fingers(*_split(fingers))
@@ -372,18 +372,17 @@ class Simulator:
         obstacles = (_FINGERS if end is not None and self._bank else 0) | (
             _TABLE if self.table_height is not None else 0
         )
+        if start is not None and end is not None:
+            self._write_motion(start, end)
         settings = self._settings(dt, damping, about_rigid, obstacles, speed)
         totals = np.zeros((self.environments, 3, 3))
         for first in range(0, substeps, _CHUNK):
-            count = min(_CHUNK, substeps - first)
-            if start is not None and end is not None:
-                # Forces act at x + beta v, so the fingers, too, are taken a time beta ahead.
-                ahead = (np.arange(first, first + count) * dt + self.stiffness_damping) / duration
-                self._write_poses(path(start, end, ahead))
-            values = {**settings, "substeps": count}
-            self._scene.settings.assign(
-                np.array([values[k] for k in kernels.SETTINGS], dtype=np.float32)
-            )
+            settings["substeps"] = count = min(_CHUNK, substeps - first)
+            # Forces act at x + beta v, so the fingers, too, are taken a time beta ahead.
+            settings["fraction"] = (first * dt + self.stiffness_damping) / duration
+            settings["fraction_step"] = dt / duration
+            values = [settings[name] for name in kernels.SETTINGS]
+            self._scene.settings.assign(np.array(values, dtype=np.float32))
             self._launch(self._kernels.advance)
             totals += count * self._report()[:, :, :3]
         self._mean_forces = totals / substeps
@@ -546,10 +545,10 @@ class Simulator:
         layout.overwrite(scene.anchors, chosen, np.zeros((len(chosen), anchors)))
         self._mean_forces[chosen] = 0.0
 
-    def _write_poses(self, poses: np.ndarray) -> None:
-        poses[..., 9:] -= self._origin[None, :, None]
-        flat = self._layout.step_values(poses)
-        wp.copy(self._scene.poses, wp.array(flat, device="cpu", copy=False), count=flat.size)
+    def _write_motion(self, start: FingerTargets, end: FingerTargets) -> None:
+        values = motion(start, end)
+        values[:, :3] -= self._origin
+        self._scene.motions.assign(self._layout.grouped(values))
 
     def _report(self) -> np.ndarray:
         """Force and depth (E, 3 obstacles, 4) of the last launch."""

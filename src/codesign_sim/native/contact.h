@@ -8,7 +8,9 @@ constexpr int OBSTACLES = 3;  // left finger, right finger, table
 constexpr int TABLE = 2;
 constexpr int QUADRATURE = 3;  // points per surface triangle, exact for quadratic pressure
 constexpr int ANCHOR = 4;  // where the point stuck (obstacle frame), and whether it sticks
-constexpr int POSE = 12;  // rotation (row major) and translation of a finger
+// Motion of the fingers: position (3) and way (3), first and last quaternion (4 each), width and
+// change of width, half the angle between the quaternions and 1 / its sine.
+constexpr int MOTION = 18;
 constexpr int GRID = 8;  // origin (3), cells per metre, size in cells (3), unused
 constexpr int GRID_INDEX = 3;  // offset in the pool, points from y to y + 1, from z to z + 1
 constexpr int REPORT = 4;  // force on the object (3), deepest penetration
@@ -29,6 +31,8 @@ enum Setting {
     TOP_SPEED,
     CONTACT_STIFFNESS,
     OBSTACLE_BITS,  // which obstacles are there
+    FRACTION,  // of the fingers' motion, at the first step
+    FRACTION_STEP,
     FINGER_SPEED,
     CONTACT_SKIN  // distance that points travel between two markings of what is near
 };
@@ -38,15 +42,6 @@ template <class F> struct Rigid {
     Vec3<F> t;
 };
 
-template <int L> CODESIGN_INLINE Rigid<typename Lanes<L>::F> load_pose(const float* p) {
-    typedef Lanes<L> W;
-    constexpr int E = W::environments;
-    Rigid<typename W::F> pose;
-    for (int k = 0; k < 9; ++k)
-        pose.r[k] = W::environment(p + k * E);
-    pose.t = { W::environment(p + 9 * E), W::environment(p + 10 * E), W::environment(p + 11 * E) };
-    return pose;
-}
 template <class F> CODESIGN_INLINE Vec3<F> into(const Rigid<F>& pose, Vec3<F> p) {
     const Vec3<F> d = p - pose.t;
     return { pose.r[0] * d.x + pose.r[3] * d.y + pose.r[6] * d.z,
@@ -57,6 +52,39 @@ template <class F> CODESIGN_INLINE Vec3<F> turn(const Rigid<F>& pose, Vec3<F> v)
     return { pose.r[0] * v.x + pose.r[1] * v.y + pose.r[2] * v.z,
         pose.r[3] * v.x + pose.r[4] * v.y + pose.r[5] * v.z,
         pose.r[6] * v.x + pose.r[7] * v.y + pose.r[8] * v.z };
+}
+
+// Sine of a quarter turn at most, by its series to single precision.
+template <class F> CODESIGN_INLINE F sine(F x) {
+    const F y = x * x;
+    const F tail = 1.0f / 362880 - y * (1.0f / 39916800);
+    return x * (1.0f - y * (1.0f / 6 - y * (1.0f / 120 - y * (1.0f / 5040 - y * tail))));
+}
+
+// Left and right finger after a fraction of their motion, which is straight and at constant speed.
+template <int L>
+CODESIGN_INLINE void place_fingers(
+    const float* motion, float fraction, Rigid<typename Lanes<L>::F> pose[2]) {
+    typedef Lanes<L> W;
+    typedef typename W::F F;
+    F m[MOTION];
+    for (int k = 0; k < MOTION; ++k)
+        m[k] = W::environment(motion + k * W::environments);
+    const F s = W::broadcast(fraction), rest = W::broadcast(1.0f - fraction);
+    const F first = sine(rest * m[16]) * m[17], last = sine(s * m[16]) * m[17];
+    const F x = first * m[6] + last * m[10], y = first * m[7] + last * m[11];
+    const F z = first * m[8] + last * m[12], w = first * m[9] + last * m[13];
+    const Rigid<F> middle = { { 1.0f - 2.0f * (y * y + z * z), 2.0f * (x * y - w * z),
+                                  2.0f * (x * z + w * y), 2.0f * (x * y + w * z),
+                                  1.0f - 2.0f * (x * x + z * z), 2.0f * (y * z - w * x),
+                                  2.0f * (x * z - w * y), 2.0f * (y * z + w * x),
+                                  1.0f - 2.0f * (x * x + y * y) },
+        { m[0] + s * m[3], m[1] + s * m[4], m[2] + s * m[5] } };
+    const F half = 0.5f * (m[14] + s * m[15]);
+    const Vec3<F> opening = { half * middle.r[1], half * middle.r[4], half * middle.r[7] };
+    pose[0] = pose[1] = middle;
+    pose[0].t = middle.t + opening;
+    pose[1].t = middle.t - opening;
 }
 
 // Depth below the surface (positive inside) and the outward unit normal.
@@ -183,14 +211,14 @@ template <int L> struct Obstacle {
     float* anchors;  // [triangle item][quadrature point][ANCHOR][width]
 
     template <class Scene>
-    CODESIGN_INLINE Obstacle load(const Scene& scene, int group, int o, const float* poses) {
+    CODESIGN_INLINE Obstacle load(const Scene& scene, int group, int o, const Rigid<F> pose[2]) {
         constexpr int E = W::environments;
         const bool finger = o != TABLE;
         const int side = finger ? o : 0;
         const size_t f = (size_t)group * 2 + side;
         const size_t anchors = ((size_t)group * OBSTACLES + o) * scene.triangle_items;
         return { finger, (int(scene.settings.data[OBSTACLE_BITS]) >> o & 1) != 0,
-            load_pose<L>(poses + side * POSE * E),
+            pose[side],
             DistanceGrid<L>::load(scene.grids.data, scene.grid_frames.data + f * GRID * E,
                 scene.grid_indices.data + f * GRID_INDEX * E),
             scene.anchors.data + anchors * QUADRATURE * ANCHOR * W::width };
@@ -264,7 +292,8 @@ template <int L> struct Triangle {
 // Looking a time beta ahead damps the contact against the moving obstacle.
 template <int L, class Scene>
 CODESIGN_INLINE void give_contact_forces(const Scene& scene, int group, const float* x,
-    const float* v, const float* poses, const Forces& forces, Ledger<L>& ledger) {
+    const float* v, const Rigid<typename Lanes<L>::F> poses[2], const Forces& forces,
+    Ledger<L>& ledger) {
     typedef Lanes<L> W;
     typedef typename W::F F;
     constexpr int C = W::copies;
@@ -312,8 +341,9 @@ CODESIGN_INLINE void give_contact_forces(const Scene& scene, int group, const fl
 // Marks the triangles that can touch an obstacle before any node or finger has travelled by
 // `margin`. Triangles no longer marked lose their anchors, and the forces left at their corners.
 template <int L, class Scene>
-CODESIGN_INLINE void mark_near(const Scene& scene, int group, const float* x, const float* poses,
-    const Forces& forces, typename Lanes<L>::F margin) {
+CODESIGN_INLINE void mark_near(const Scene& scene, int group, const float* x,
+    const Rigid<typename Lanes<L>::F> poses[2], const Forces& forces,
+    typename Lanes<L>::F margin) {
     typedef Lanes<L> W;
     typedef typename W::F F;
     const F zero = W::broadcast(0.0f);

@@ -191,12 +191,14 @@ template <int L, class Scene>
 CODESIGN_INLINE void give_forces(const Scene& scene, int group, int step, Motion<L>& m,
     const Forces& forces, Ledger<L>& ledger) {
     typedef Lanes<L> W;
-    const float* poses
-        = scene.poses.data + ((size_t)step * scene.groups + group) * 2 * POSE * W::environments;
+    const float* s = scene.settings.data;
+    Rigid<typename W::F> poses[2];
+    place_fingers<L>(scene.motions.data + (size_t)group * MOTION * W::environments,
+        s[FRACTION] + step * s[FRACTION_STEP], poses);
     // Contact looks at x + beta v.
     const bool far = any(m.travelled + m.beta * m.fastest > m.margin);
     if (W::somewhere(step == 0 || far)) {
-        m.margin = scene.settings.data[CONTACT_SKIN] + 2.0f * m.beta * W::largest(m.fastest);
+        m.margin = s[CONTACT_SKIN] + 2.0f * m.beta * W::largest(m.fastest);
         m.travelled = W::broadcast(0.0f);
         mark_near<L>(scene, group, m.x, poses, forces, m.margin);
     }
