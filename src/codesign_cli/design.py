@@ -6,11 +6,12 @@ from typing import Annotated
 
 import typer
 
-from codesign_cli import fitting
+from codesign_cli import fitting, grasping
 
 app = typer.Typer(help="Finger shapes: fit, look at, build, export.", no_args_is_help=True)
 app.command()(fitting.fit)
 app.command()(fitting.show)
+app.command()(grasping.grasp)
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
 
@@ -77,4 +78,40 @@ def batch(
         raise typer.Exit(2) from error
     print_batch(outcome, as_json)
     if outcome["valid"] < count:
+        raise typer.Exit(1)
+
+
+@app.command()
+def build(
+    source: Annotated[
+        Path, typer.Argument(help="PARAMS.json from `fit`, or an STL, OBJ or PLY surface.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the finger pair's files.")],
+    unit: Annotated[str, typer.Option(help="Unit of a surface file: mm, m, inch.")] = "mm",
+    name: Annotated[str, typer.Option(help="For people; default: the file's name.")] = "",
+    simulators: Annotated[
+        bool, typer.Option(help="URDF, MJCF with convex pieces, and distance grids too.")
+    ] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a printable, mounted finger pair; exit code 1 if it cannot be printed or used.
+
+    A surface file holds the left finger in the grasp frame: contact side towards -y, z out of the
+    gripper, centre of the stock pad at x = 0, z = -17.5 mm.
+
+    Examples:
+      codesign design build params.json --out fingers/fit
+      codesign design build my_finger.stl --unit mm --out fingers/mine --json
+    """
+    from codesign_cli.design_build import build_from_file, print_report
+    from codesign_design.finger_files import save_finger_pair
+
+    try:
+        built = build_from_file(source, unit, name or source.stem)
+        save_finger_pair(out, built, simulators=simulators)
+    except (ValueError, OSError) as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(2) from error
+    print_report(built.report, out, as_json)
+    if not built.report.valid:
         raise typer.Exit(1)

@@ -16,6 +16,7 @@ from codesign_design.design_space import design_space
 from codesign_design.experts import expert_names, expert_surface
 from codesign_design.finger_pair import FingerPair, TriangleMesh, check_surface
 from codesign_design.inverse import FitOptions, fit
+from codesign_design.mesh_checks import edge_checks
 from codesign_design.stock import stock_fingers
 
 DEFAULT_CAGE = "sphere-7"
@@ -69,6 +70,11 @@ def deliver(
         raise ValueError(f"name has {len(order.name)} characters: at most {MAX_NAME}, printable")
     if order.target is not None:
         check_surface(order.target, "target")
+        if not all(edge_checks(order.target.faces)):
+            raise ValueError(
+                "target is not closed: every edge must border two triangles of the same winding; "
+                "merge equal vertices and close its holes"
+            )
     cage, parameters, surface = _shape(order, progress)
     if surface is None:
         pair = stock_fingers()

@@ -116,3 +116,21 @@ def _judge(samples: list[np.ndarray]) -> list[GraspTrial]:
             )
         )
     return trials
+
+
+def summary(trials: Sequence[GraspTrial]) -> dict[str, float]:
+    """Counts, and means over the grasps that succeeded [Pa]; NaN if none did."""
+    good = [trial for trial in trials if trial.metrics.success]
+
+    def mean(values: list[float]) -> float:
+        return float(np.mean(values)) if values else float("nan")
+
+    return {
+        "grasps": len(trials),
+        "succeeded": len(good),
+        "held_top10_pa": mean([t.held_top10 for t in good]),
+        "held_median_pa": mean([t.held_median for t in good]),
+        "contact_top10_pa": mean([t.metrics.top10_stress for t in good]),
+        "contact_median_pa": mean([t.metrics.median_stress for t in good]),
+        "peak_top10_pa": mean([t.peak_top10 for t in good]),
+    }
