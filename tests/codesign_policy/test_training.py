@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from toy_task import BEST, COMPONENTS, SPACES, STEPS, WEIGHTS, ToyEnv, toy_episodes
 
 from codesign_policy.checkpoint import load_checkpoint
@@ -18,6 +19,7 @@ from codesign_policy.presets import FAST
 from codesign_policy.replay import FIELDS, ReplayBuffer, Spaces
 from codesign_policy.rlpd import Agent, LearningError
 from codesign_policy.rounds import Episodes, play_round
+from codesign_policy.tensorboard_log import TensorBoardLog
 from codesign_policy.training import Progress, Training, TrainingConfig
 
 QUICK = replace(FAST, hidden=(16,), batch_size=16, design_rows=4, start_transitions=40)
@@ -278,3 +280,21 @@ def test_given_fingers_train_control_alone() -> None:
     Training(agent, episodes, CONFIG).run()
     assert agent.updates == 30
     assert torch.equal(agent.actors["design"].mean, before)
+
+
+def test_curves_for_tensorboard_without_repetition(tmp_path: Path) -> None:
+    """A run that goes on from a checkpoint drops what was written after it."""
+    begun = training(transitions=80)
+    begun.run(tmp_path)
+    with TensorBoardLog(tmp_path) as log:
+        training(transitions=120).run(on_round=log)
+    resumed = training()
+    resumed.restore(load_checkpoint(tmp_path))
+    with TensorBoardLog(tmp_path, transitions=80) as log:
+        resumed.run(on_round=log)
+    events = EventAccumulator(str(tmp_path))
+    events.Reload()
+    curve = [(e.step, e.value) for e in events.Scalars("round/return")]
+    expected = [(row["transitions"], row["episode_return"]) for row in resumed.history]
+    assert curve == [(step, pytest.approx(value)) for step, value in expected]
+    assert "losses/critic_loss" in events.Tags()["scalars"]
