@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from codesign_design.design_space import DesignSpace
     from codesign_design.finger_pair import TriangleMesh
     from codesign_design.inverse import Fit
@@ -140,7 +143,8 @@ def _errors_as_messages(command: str) -> Iterator[None]:
         raise typer.Exit(2) from error
 
 
-def _corners(region: tuple[float, ...]):
+def _corners(region: tuple[float, ...]) -> NDArray[np.float64]:
+    """The box in metres, (2, 3)."""
     import numpy as np
 
     corners = np.array(region).reshape(2, 3) * 1e-3

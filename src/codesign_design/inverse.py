@@ -9,7 +9,6 @@ fall behind are dropped on the way; the last few are polished against the exact 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
 import igl
 import numpy as np
@@ -54,7 +53,7 @@ class FitOptions:
         seed: equal seeds give equal fits.
     """
 
-    method: Literal["icp", "adam"] = "icp"
+    method: str = "icp"
     restarts: int = 64
     iterations: int = 36
     samples: int = 250

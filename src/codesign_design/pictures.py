@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
 from codesign_design.chamfer import distances_to
@@ -72,7 +72,7 @@ def curve_picture(fit: Fit) -> Figure:
 
 
 def draw_surface(
-    axes: Axes,
+    axes: Axes3D,
     mesh: TriangleMesh,
     colour: tuple[float, float, float] | NDArray[np.float64],
     bounds: list[NDArray[np.float64]],
@@ -118,7 +118,7 @@ def _small_triangles(
     return points[faces], colours[origin]
 
 
-def _draw_cage(axes: Axes, space: DesignSpace, handles: NDArray[np.float64]) -> None:
+def _draw_cage(axes: Axes3D, space: DesignSpace, handles: NDArray[np.float64]) -> None:
     faces = space.cage.faces
     edges = np.unique(
         np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1),
