@@ -74,9 +74,13 @@ def bench(
     pair = stock_fingers()
     left, right = (SurfaceMesh(m.vertices, m.faces) for m in (pair.left, pair.right))
     warm_up()
-    with _bar() as step:
-        cases = bench.cases(device, peer and peer.value)
-        results = bench.run(cases, (left, right), seconds, progress=step)
+    cases = bench.cases(device, peer and peer.value)
+    try:
+        with _bar() as step:
+            results = bench.run(cases, (left, right), seconds, progress=step)
+    except ValueError as error:  # no such device
+        typer.echo(str(error), err=True)
+        raise typer.Exit(2) from None
     machine, ratios = bench.describe_machine(), bench.ratios(results)
     if not as_json:
         print_rates(results, machine, ratios)

@@ -84,6 +84,14 @@ def test_bench_prints_a_table_and_the_ratio(monkeypatch):
     assert report["ratio_vs_mujoco_flex"] == 21.0
 
 
+def test_bench_names_a_device_that_is_not_there(monkeypatch):
+    case = bench.Case("codesign", 600, 1, 1, device="abacus")
+    monkeypatch.setattr(bench, "cases", lambda device, peer: [case])
+    result = invoke("bench", "--device", "abacus")
+    assert result.exit_code == 2
+    assert "abacus" in result.output
+
+
 def test_sensitivity_prints_json():
     result = invoke("sensitivity", "--tets", "600", "--json")
     report = json.loads(result.stdout)
