@@ -12,6 +12,7 @@ from codesign_policy.domain import (
     POISSON_RATIO_RANGE,
     YOUNG_MODULUS_RANGE,
     TrialDomain,
+    domain_corners,
     draw_domain,
 )
 
@@ -60,3 +61,28 @@ def test_refuses_a_negative_seed() -> None:
 
 def test_friction_may_be_zero() -> None:
     assert draw_domain(0, TrialDomain(friction=0.0)).friction == 0.0
+
+
+@given(st.integers(0, 2**31), st.floats(0.1, 0.5), st.floats(0.5, 0.9))
+def test_a_range_of_friction_changes_nothing_else(seed: int, low: float, high: float) -> None:
+    usual, drawn = draw_domain(seed), draw_domain(seed, friction=(low, high))
+    assert low <= drawn.friction <= high
+    for field in fields(TrialDomain):
+        if field.name != "friction":
+            assert getattr(drawn, field.name) == getattr(usual, field.name)
+
+
+@given(st.integers(0, 2**31), st.floats(0.1, 0.5), st.floats(0.5, 0.9))
+def test_corners_enclose_every_draw(seed: int, low: float, high: float) -> None:
+    request = TrialDomain(young_modulus=9.3e3)
+    lowest, highest = domain_corners(request, (low, high))
+    assert lowest.young_modulus == highest.young_modulus == 9.3e3
+    drawn = draw_domain(seed, request, (low, high))
+    for field in fields(TrialDomain):
+        value = getattr(drawn, field.name)
+        assert getattr(lowest, field.name) <= value <= getattr(highest, field.name)
+
+
+def test_corners_refuse_a_range_upside_down() -> None:
+    with pytest.raises(ValueError, match="lower number first"):
+        domain_corners(friction=(0.6, 0.4))

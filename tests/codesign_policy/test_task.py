@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from codesign_policy.task import ACTION_SCALE, ControlAction, Observation
+from codesign_policy.task import (
+    ACTION_SCALE,
+    ControlAction,
+    Observation,
+    normalised_observations,
+    physical_observations,
+    scaled_actions,
+)
 
 unit = arrays(np.float64, 7, elements=st.floats(-1.0, 1.0))
 anything = arrays(np.float64, 7, elements=st.floats(-1e6, 1e6))
@@ -42,3 +49,39 @@ def test_clipping_keeps_the_limits_and_changes_nothing_inside(action: np.ndarray
 def test_refuses_what_is_no_action(bad: np.ndarray) -> None:
     with pytest.raises(ValueError, match="7 finite numbers"):
         ControlAction.from_normalised(bad)
+
+
+def test_a_network_sees_numbers_of_order_one() -> None:
+    design = np.array([0.3, -0.7])
+    above = Observation(np.array([0.45, 0.1, 0.3]), np.array([0.44, 0.0, 0.02]), 0.06, design)
+    expected = [0.0, 1.0, 2.0, -0.1, 0.0, -0.8, 1.0, 1.0, 0.3, -0.7]
+    np.testing.assert_allclose(above.normalised(), expected, atol=1e-12)
+
+
+@given(arrays(np.float64, (3, 11), elements=st.floats(-2.0, 2.0)))
+def test_normalised_observations_come_back(vectors: np.ndarray) -> None:
+    kept = vectors.copy()
+    np.testing.assert_allclose(
+        physical_observations(normalised_observations(vectors)), vectors, atol=1e-12
+    )
+    assert np.array_equal(vectors, kept)
+    seen = Observation.from_normalised(normalised_observations(vectors)[1])
+    np.testing.assert_allclose(seen.tcp_position, vectors[1, :3], atol=1e-12)
+    np.testing.assert_allclose(seen.object_position, vectors[1, 3:6], atol=1e-12)
+    assert seen.width == pytest.approx(vectors[1, 6], abs=1e-12)
+    np.testing.assert_allclose(seen.design, vectors[1, 8:])
+
+
+@given(unit)
+def test_lanes_scale_actions_as_one_action_is_scaled(action: np.ndarray) -> None:
+    one = ControlAction.from_normalised(action)
+    row = scaled_actions(np.stack([action, -action]), 2)
+    np.testing.assert_allclose(row[0], [*one.translation, *one.rotation, one.width])
+    np.testing.assert_allclose(row[1], -row[0])
+
+
+def test_single_precision_at_the_limit_is_no_error() -> None:
+    just_beyond = np.full((1, 7), np.nextafter(np.float32(1.0), np.float32(2.0)))
+    np.testing.assert_array_equal(scaled_actions(just_beyond, 1)[0], ACTION_SCALE)
+    with pytest.raises(ValueError, match=r"lane 0: dx is 1\.01.*clip it"):
+        scaled_actions(np.full((1, 7), 1.01), 1)
