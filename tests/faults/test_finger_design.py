@@ -1,7 +1,6 @@
 """Bad orders to finger_design: each is refused in words, and nothing is published."""
 
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +44,8 @@ def open_pad() -> TriangleMesh:
 
 def test_bad_orders_are_refused_and_nothing_is_published(designer: Any, tmp_path: Path) -> None:
     pad = flat_pad()
-    too_far = pad.vertices.copy()
-    too_far[7, 2] = math.nan
+    not_finite = pad.vertices.copy()
+    not_finite[7, 2] = math.nan
     bad: list[tuple[dict[str, Any], str]] = [
         ({}, "name '' is no expert's: there are stock, flat_pad"),
         ({"name": "spoon"}, "name 'spoon' is no expert's"),
@@ -56,11 +55,11 @@ def test_bad_orders_are_refused_and_nothing_is_published(designer: Any, tmp_path
         ({"parameters": [0.0] * 20 + [1.5]}, "parameter 20 is 1.5"),
         ({"cage": "cube-9", "parameters": [0.0] * 27}, "cube-9"),
         ({"parameters": [0.0] * 21, "target": message(pad)}, "leave one of them out"),
-        ({"target": message(TriangleMesh(too_far, pad.faces))}, "not finite"),
+        ({"target": message(TriangleMesh(not_finite, pad.faces))}, "not finite"),
         ({"target": message(TriangleMesh(pad.vertices * 1e3, pad.faces))}, "is it in metres?"),
         ({"target": message(TriangleMesh(pad.vertices, pad.faces + 9))}, "beyond 140"),
         ({"target": message(open_pad())}, "closed"),
-        # All handles in one point: no volume, nothing to print.
+        # Sound as a mesh, but too thin to print.
         ({"cage": "box-7", "parameters": flat_cage()}, "cannot be used"),
     ]
     for fields, said in bad:
@@ -113,9 +112,7 @@ def test_a_long_order_leaves_the_node_alive_and_is_cut_off(
     probe.wait_for(first.done, 150.0, "the end of the fit")
     assert not first.result().success
     assert first.result().message == "not done within 1 s"
-    begun = time.monotonic()
-    assert order(probe, name="spoon").message.startswith("neither parameters nor a target")
-    assert time.monotonic() - begun < 60.0
+    assert "in hand" not in order(probe, name="spoon").message  # the next one is taken
 
 
 def test_an_unknown_initial_finger_stops_the_node(graph: Any, probe: Any) -> None:
