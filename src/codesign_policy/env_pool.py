@@ -19,11 +19,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from codesign_design.finger_pair import FingerPair
-from codesign_policy.control_env import (
+from codesign_policy.control_env import ControlConfig, ControlEnv
+from codesign_policy.lanes import (
     FINAL_INFO,
     STEP_INFO,
-    ControlConfig,
-    ControlEnv,
     Info,
     Step,
     check_swap,

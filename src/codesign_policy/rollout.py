@@ -162,7 +162,8 @@ def roll_out(
     """
     if (steps is None) == (episodes is None):
         raise ValueError("give either steps or episodes")
-    result, ended = Rollout(), []
+    result = Rollout()
+    ended: list[dict[str, NDArray]] = []
     started = time.perf_counter()
     observations, _ = env.reset(seed=seed)
     policy.restart(np.ones(env.num_envs, dtype=bool))

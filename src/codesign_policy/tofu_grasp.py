@@ -13,7 +13,8 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from codesign_design.finger_pair import FingerPair
-from codesign_policy.control_env import STEP_INFO, ControlConfig, ControlEnv
+from codesign_policy.control_env import ControlConfig, ControlEnv
+from codesign_policy.lanes import STEP_INFO
 
 ID = "codesign/TofuGrasp-v0"
 

@@ -80,7 +80,10 @@ class RestShapes:
         farthest = np.where(self._length == 0, 0.0, 1.0) + _ROUNDING
         if ((along < -_ROUNDING) | (along > farthest)).any() or material.density != self._density:
             raise ValueError(f"{material} is outside the box that rest shapes were computed for")
-        return sum(
-            float(np.prod(np.where(corner, along, 1 - along))) * shape
-            for corner, shape in self._shapes.items()
+        return np.sum(
+            [
+                float(np.prod(np.where(corner, along, 1 - along))) * shape
+                for corner, shape in self._shapes.items()
+            ],
+            axis=0,
         )

@@ -10,14 +10,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from codesign_design.stock import stock_fingers
-from codesign_policy.control_env import (
-    FINAL_INFO,
-    STEP_INFO,
-    ControlConfig,
-    ControlEnv,
-    episode_seed,
-)
+from codesign_policy.control_env import ControlConfig, ControlEnv
 from codesign_policy.domain import TrialDomain, draw_domain
+from codesign_policy.lanes import FINAL_INFO, STEP_INFO, episode_seed
 from codesign_policy.reward import RewardComponents, RewardWeights, weighted
 from codesign_policy.task import Observation
 from codesign_policy.tofu_grasp import ID, TofuGrasp

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from codesign_design.stock import stock_fingers
-from codesign_policy.control_env import FINAL_INFO, ControlConfig, ControlEnv
+from codesign_policy.control_env import ControlConfig, ControlEnv
 from codesign_policy.env_pool import PooledControlEnv, WorkerError
+from codesign_policy.lanes import FINAL_INFO
 from codesign_policy.tool import ToolStart
 
 CONFIG = ControlConfig(start=ToolStart((0.45, 0.0, 0.01), 0.05), episode_steps=15)
