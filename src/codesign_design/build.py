@@ -1,6 +1,6 @@
 """From a raw surface to a finger pair that can be printed, screwed on and simulated."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import igl
@@ -49,7 +49,7 @@ def build_finger(
     surface: TriangleMesh,
     name: str = "",
     cage: str = "",
-    parameters: Sequence[float] = (),
+    parameters: Iterable[float] = (),
     mount: str = stock_mount.NAME,
 ) -> BuiltFinger:
     """Repairs a raw surface where needed, mounts and mirrors it, and checks the result.
@@ -76,7 +76,7 @@ def finish_finger(
     shape: Shape,
     name: str = "",
     cage: str = "",
-    parameters: Sequence[float] = (),
+    parameters: Iterable[float] = (),
 ) -> BuiltFinger:
     """The pair and its report from what `shape_finger` made of the raw surface."""
     left = shape.mounted.mesh

@@ -1,0 +1,1 @@
+"""Finger pairs as files for printers, robots and simulators; every file states its unit."""
