@@ -76,21 +76,32 @@ template <class F> struct Polar {
         s.determinant = dot(p, qr);
         s.squares = dot(p, p) + dot(q, q) + dot(r, r);
         s.minors = dot(qr, qr) + dot(rp, rp) + dot(pq, pq);
-        // From above the largest root, (3 + |F|^2) / 2 >= sqrt(3) |F| >= i, Newton's iteration
-        // does not overshoot it. Two steps do for strains of 10 %; a lane that is done then stays
-        // as it is, so that it does not depend on its neighbours.
-        s.trace = 0.5f * s.squares + 1.5f;
-        s.trace = s.trace - excess(s);
-        F down = excess(s);
-        s.trace = s.trace - down;
-        auto going = down > LAST_STEP * s.trace;
-        for (int step = 0; step < MORE_STEPS && any(going); ++step) {
-            down = excess(s);
-            s.trace = s.trace - (going ? down : down * 0.0f);
-            going = going & (down > LAST_STEP * s.trace);
-        }
-        complete(s);
         return s;
+    }
+
+    // Solves for the trace of `count` elements together, whose chains of divisions overlap. From
+    // above the largest root, (3 + |F|^2) / 2 >= sqrt(3) |F| >= i, Newton's iteration does not
+    // overshoot it. Two steps do for strains of 10 %; a lane that is done then stays as it is, so
+    // that it does not depend on its neighbours.
+    template <int COUNT> CODESIGN_INLINE void solve(Polar s[COUNT]) {
+        F down[COUNT];
+        for (int k = 0; k < COUNT; ++k)
+            s[k].trace = 0.5f * s[k].squares + 1.5f;
+        for (int k = 0; k < COUNT; ++k)
+            s[k].trace = s[k].trace - excess(s[k]);
+        for (int k = 0; k < COUNT; ++k) {
+            down[k] = excess(s[k]);
+            s[k].trace = s[k].trace - down[k];
+        }
+        for (int k = 0; k < COUNT; ++k) {
+            auto going = down[k] > LAST_STEP * s[k].trace;
+            for (int step = 0; step < MORE_STEPS && any(going); ++step) {
+                const F more = excess(s[k]);
+                s[k].trace = s[k].trace - (going ? more : more * 0.0f);
+                going = going & (more > LAST_STEP * s[k].trace);
+            }
+            complete(s[k]);
+        }
     }
 
     // How far Newton's step goes down from the trace.
@@ -130,9 +141,8 @@ template <class F> struct Elastic {
     Mat3<F> piola, rotation;
 
     template <bool WITH_ROTATION>
-    CODESIGN_INLINE Elastic of(const Mat3<F>& A, F mu, F lambda) {
+    CODESIGN_INLINE Elastic of(const Mat3<F>& A, const Polar<F>& s, F mu, F lambda) {
         const F zero = mu * 0.0f;
-        const Polar<F> s = Polar<F>::of(A);
         Elastic e;
         const F turn = lambda * (s.trace - 3.0f) - 2.0f * mu;
         e.piola = Polar<F>::combine(s, A, 2.0f * mu, turn);
@@ -204,19 +214,34 @@ CODESIGN_INLINE void give_elastic_forces(
     constexpr int C = W::copies, E = W::environments;
     const float* material = scene.materials.data + (size_t)group * 4 * E;
     const F mu = W::environment(material), lambda = W::environment(material + E);
-    for (int t = W::first(); t < W::count(scene.tet_items); t += W::stride()) {
-        const Element<L> e = Element<L>::load(scene, t, x);
-        const Mat3<F> P
-            = Elastic<F>::template of<false>(e.A, mu * e.volume, lambda * e.volume).piola;
-        Vec3<F> f[4];
-        for (int c = 0; c < 3; ++c) {  // f_{1..3} = - V P B^T, by columns
-            const Vec3<F> b = { e.B[3 * c], e.B[3 * c + 1], e.B[3 * c + 2] };
-            f[c + 1] = { -dot(row(P, 0), b), -dot(row(P, 1), b), -dot(row(P, 2), b) };
+    constexpr int B = W::batch;
+    const int count = W::count(scene.tet_items);
+    for (int first = W::first(); first < count; first += B * W::stride()) {
+        Element<L> elements[B];
+        Polar<F> polars[B];
+        for (int k = 0; k < B; ++k) {
+            const int t = min(first + k * W::stride(), count - 1);
+            elements[k] = Element<L>::load(scene, t, x);
+            polars[k] = Polar<F>::of(elements[k].A);
         }
-        f[0] = W::broadcast(-1.0f) * (f[1] + f[2] + f[3]);
-        float* corners = W::corners(forces.tets, t, 4);
-        for (int c = 0; c < 4; ++c)
-            Nodes<L>::give(forces, corners + c * 3 * C, e.node + c * C, f[c]);
+        Polar<F>::template solve<B>(polars);
+        for (int k = 0; k < B; ++k) {
+            const int t = first + k * W::stride();
+            if (t >= count)
+                break;
+            const Element<L>& e = elements[k];
+            const Mat3<F> P = Elastic<F>::template of<false>(
+                e.A, polars[k], mu * e.volume, lambda * e.volume).piola;
+            Vec3<F> f[4];
+            for (int c = 0; c < 3; ++c) {  // f_{1..3} = - V P B^T, by columns
+                const Vec3<F> b = { e.B[3 * c], e.B[3 * c + 1], e.B[3 * c + 2] };
+                f[c + 1] = { -dot(row(P, 0), b), -dot(row(P, 1), b), -dot(row(P, 2), b) };
+            }
+            f[0] = W::broadcast(-1.0f) * (f[1] + f[2] + f[3]);
+            float* corners = W::corners(forces.tets, t, 4);
+            for (int c = 0; c < 4; ++c)
+                Nodes<L>::give(forces, corners + c * 3 * C, e.node + c * C, f[c]);
+        }
     }
 }
 
@@ -238,7 +263,9 @@ template <int L, class Scene> CODESIGN_INLINE void stress(const Scene& scene, in
     float* all = scene.stresses.data + (size_t)group * scene.tet_items * 2 * W::width;
     for (int t = W::first(); t < W::count(scene.tet_items); t += W::stride()) {
         const Mat3<F> A = Element<L>::load(scene, t, x).A;
-        const auto elastic = Elastic<F>::template of<true>(A, mu, lambda);
+        Polar<F> polar = Polar<F>::of(A);
+        Polar<F>::template solve<1>(&polar);
+        const auto elastic = Elastic<F>::template of<true>(A, polar, mu, lambda);
         const Mat3<F>&P = elastic.piola, &R = elastic.rotation;
         const F volume = dot(row(A, 0), cross(row(A, 1), row(A, 2)));
         const F shrink = 1.0f / max(volume, W::broadcast(NEARLY_FLAT));

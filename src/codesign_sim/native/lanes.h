@@ -63,6 +63,7 @@ template <class M> CODESIGN_INLINE bool any(M mask) { return __builtin_reduce_or
 template <int L> struct Lanes {
     static constexpr int width = L == 1 ? ITEM_LANES : L;  // floats in a vector
     static constexpr int copies = L == 1 ? ITEM_LANES : 1;  // stored lanes of per-item constants
+    static constexpr int batch = 4;  // tetrahedra whose arithmetic overlaps
     static constexpr int environments = L;  // stored lanes of per-environment values
     typedef typename Vector<width>::F F;
     typedef typename Vector<width>::I I;

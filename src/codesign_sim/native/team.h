@@ -28,6 +28,7 @@ CODESIGN_INLINE bool any(int mask) { return mask != 0; }
 template <> struct Lanes<TEAM> {
     static constexpr int width = TEAM_LANES;
     static constexpr int copies = TEAM_LANES;
+    static constexpr int batch = 1;
     static constexpr int environments = 1;
     typedef float F;
     typedef int I;
