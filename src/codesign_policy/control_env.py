@@ -24,10 +24,10 @@ from codesign_policy.lanes import (
     final_entries,
     per_lane,
     set_spaces,
-    surfaces,
     swapped,
 )
 from codesign_policy.reward import RewardComponents, RewardWeights, reward_components, weighted
+from codesign_policy.simulated_fingers import simulated_fingers
 from codesign_policy.task import (
     CONTROL_STAGE,
     POLICY_PERIOD,
@@ -35,7 +35,7 @@ from codesign_policy.task import (
     scaled_actions,
 )
 from codesign_policy.tool import Tool, ToolStart
-from codesign_sim import Block, Material, Simulator
+from codesign_sim import Block, Material, Simulator, SurfaceMesh
 from codesign_sim.material import stable_time_step
 from codesign_sim.rest import RestShapes
 from codesign_sim.simulator import CONTACT_STIFFNESS, SAFETY, STIFFNESS_DAMPING
@@ -137,7 +137,7 @@ class ControlEnv(VectorEnv):
         # One time step for every material: a lane must not depend on what its neighbours hold.
         self.simulator = Simulator(
             block,
-            [surfaces(pair) for pair in self.fingers],
+            _surfaces(self.fingers),
             self.num_envs,
             time_step=SAFETY * limit,
             table_height=TABLE_HEIGHT,
@@ -188,7 +188,7 @@ class ControlEnv(VectorEnv):
             return
         self.fingers = swapped(self.fingers, fingers)
         chosen = sorted(fingers)
-        pairs = [surfaces(fingers[lane]) for lane in chosen]
+        pairs = _surfaces([fingers[lane] for lane in chosen])
         left, right = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
         self.simulator.set_fingers(left, right, chosen)
         self._tell_tool(chosen)
@@ -325,3 +325,10 @@ def _material(domain: TrialDomain) -> Material:
         density=domain.density,
         friction=domain.friction,
     )
+
+
+def _surfaces(fingers: Sequence[FingerPair]) -> list[tuple[SurfaceMesh, SurfaceMesh]]:
+    """Each pair as the simulator's surfaces; lanes with the same pair share them."""
+    different = {id(pair): pair for pair in fingers}
+    shapes = {key: simulated_fingers(pair) for key, pair in different.items()}
+    return [shapes[id(pair)] for pair in fingers]

@@ -8,6 +8,7 @@ import numpy as np
 # Paper, section IV-A: Young's modulus and Poisson ratio of silk tofu.
 YOUNG_MODULUS_RANGE = (8e3, 10e3)  # Pa
 POISSON_RATIO_RANGE = (0.300, 0.325)
+BLOCK_SIZE = (0.050, 0.030, 0.040)  # m along x, y (the fingers' opening) and z
 # The paper fixes neither; these are ours.
 DENSITY = 1020.0  # kg/m^3
 FRICTION = 0.5

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codesign_design.finger_pair import FingerPair, TriangleMesh
-from codesign_policy.domain import DENSITY, FRICTION, YOUNG_MODULUS_RANGE
+from codesign_policy.domain import BLOCK_SIZE, DENSITY, FRICTION, YOUNG_MODULUS_RANGE
 from codesign_policy.scripted import GraspPlan
-from codesign_sim import Block
 
 GRIP_MARGIN = 1.4  # normal force over the least that holds
 LEAST_LIP = 0.003  # m, a foot that protrudes less is part of the pad
@@ -55,10 +54,10 @@ class FrontView:
         return max(0.0, self.pad - self.foot)
 
 
-def front_view(mesh: TriangleMesh, block: Block) -> FrontView:
+def front_view(mesh: TriangleMesh) -> FrontView:
     """The left finger in front of a block that stands at its tips."""
-    x = _centres(-block.size[0] / 2.0, block.size[0] / 2.0)
-    height = _centres(0.0, block.size[2])
+    x = _centres(-BLOCK_SIZE[0] / 2.0, BLOCK_SIZE[0] / 2.0)
+    height = _centres(0.0, BLOCK_SIZE[2])
     z = mesh.vertices[:, 2].max() - height
     rays = np.stack(np.meshgrid(x, z, indexing="xy"), axis=-1).reshape(-1, 2)
     corners = mesh.vertices[mesh.faces]
@@ -70,21 +69,20 @@ def front_view(mesh: TriangleMesh, block: Block) -> FrontView:
     return FrontView(depth.reshape(len(z), len(x)) - front, height, float(foot - front))
 
 
-def plan_for(fingers: FingerPair, block: Block | None = None) -> GraspPlan:
+def plan_for(fingers: FingerPair) -> GraspPlan:
     """The scripted grasp that suits these fingers.
 
     Raises:
         ValueError: nothing of the fingers is in front of the block, or they do not open or close
             far enough.
     """
-    block = block or Block()
-    view = front_view(fingers.left, block)
+    view = front_view(fingers.left)
     if not np.isfinite(view.pad):
         raise ValueError(
             f"fingers {fingers.name!r}: no pad between {PAD_BAND[0]} and {PAD_BAND[1]} m above "
             "the tips; let the finger reach that high"
         )
-    least_open = block.size[1] + 2.0 * LEAST_SIDE_ROOM
+    least_open = BLOCK_SIZE[1] + 2.0 * LEAST_SIDE_ROOM
     if fingers.max_width < least_open:
         raise ValueError(
             f"fingers {fingers.name!r} open to {fingers.max_width} m, the block needs "
@@ -92,15 +90,13 @@ def plan_for(fingers: FingerPair, block: Block | None = None) -> GraspPlan:
         )
     if view.lip > LEAST_LIP:
         plan = GraspPlan(
-            width=round(block.size[1] - PAD_TOUCH - 2.0 * view.pad, 6),
+            width=round(BLOCK_SIZE[1] - PAD_TOUCH - 2.0 * view.pad, 6),
             open_width=least_open,
             clearance=SCOOP_CLEARANCE,
             close_speed=SCOOP_SPEED,
         )
     else:
-        plan = GraspPlan(
-            width=_squeezing_width(view, block), open_width=min(0.046, fingers.max_width)
-        )
+        plan = GraspPlan(width=_squeezing_width(view), open_width=min(0.046, fingers.max_width))
     if plan.width < fingers.min_width:
         raise ValueError(
             f"fingers {fingers.name!r} close to {fingers.min_width} m, the grasp needs "
@@ -109,11 +105,11 @@ def plan_for(fingers: FingerPair, block: Block | None = None) -> GraspPlan:
     return plan
 
 
-def _squeezing_width(view: FrontView, block: Block) -> float:
+def _squeezing_width(view: FrontView) -> float:
     """Gap at which the elastic foundation presses with the force that is wanted [m]."""
-    weight = DENSITY * block.volume * _GRAVITY
+    weight = DENSITY * float(np.prod(BLOCK_SIZE)) * _GRAVITY
     wanted = GRIP_MARGIN * weight / (2.0 * FRICTION)
-    thickness = block.size[1]
+    thickness = BLOCK_SIZE[1]
     stiffness = np.mean(YOUNG_MODULUS_RANGE) / thickness * _CELL**2  # N/m per cell
 
     def force(width: float) -> float:

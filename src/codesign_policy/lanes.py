@@ -11,11 +11,10 @@ from gymnasium.spaces import Box
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.finger_pair import FingerPair
 from codesign_design.stock import stock_fingers
 from codesign_policy.metrics import GraspMetrics
 from codesign_policy.reward import RewardComponents
-from codesign_sim import SurfaceMesh
 
 Lanes = NDArray[np.int_]
 Info = dict[str, Any]
@@ -81,15 +80,6 @@ def episode_seed(lane_seed: int, episode: int) -> int:
     if episode == 0:
         return lane_seed
     return int(np.random.SeedSequence([lane_seed, episode]).generate_state(1)[0])
-
-
-def surfaces(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
-    """Left and right finger for the simulator."""
-
-    def surface(mesh: TriangleMesh) -> SurfaceMesh:
-        return SurfaceMesh(vertices=mesh.vertices, faces=mesh.faces)
-
-    return surface(fingers.left), surface(fingers.right)
 
 
 def per_lane(fingers: FingerPair | Sequence[FingerPair] | None, count: int) -> list[FingerPair]:

@@ -11,7 +11,7 @@ from manifold3d import Manifold, Mesh64
 
 from codesign_design.finger_pair import FingerPair, TriangleMesh
 from codesign_policy.finger_plan import LEAST_LIP, front_view
-from codesign_sim import Block, SurfaceMesh
+from codesign_sim import SurfaceMesh
 
 SOLE = 0.0025  # m, thicker than contact points ever sink into a surface
 _CUT = 0.00005  # m above the tips, where the lip's outline is taken
@@ -24,7 +24,7 @@ def simulated_fingers(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
         ValueError: a mesh is not a closed surface, wound outward.
     """
     left, right = (SurfaceMesh(m.vertices, m.faces) for m in (fingers.left, fingers.right))
-    if front_view(fingers.left, Block()).lip <= LEAST_LIP:
+    if front_view(fingers.left).lip <= LEAST_LIP:
         return left, right
     return with_sole(fingers.left), with_sole(fingers.right)
 
