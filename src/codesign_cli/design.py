@@ -104,12 +104,13 @@ def build(
       codesign design build params.json --out fingers/fit
       codesign design build my_finger.stl --unit mm --out fingers/mine --json
     """
-    from codesign_cli.design_build import build_from_file, print_report
+    from codesign_cli.design_build import build_from_file, print_report, write_page
     from codesign_design.finger_files import save_finger_pair
 
     try:
         built = build_from_file(source, unit, name or source.stem)
         save_finger_pair(out, built, simulators=simulators)
+        write_page(out, built)
     except (ValueError, OSError) as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(2) from error

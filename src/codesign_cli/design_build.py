@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from codesign_design.build import BuiltFinger, build_finger
-from codesign_design.design_file import read_parameters, read_surface
+from codesign_design.design_file import read_parameters, read_surface, write_text
 from codesign_design.printability import PrintReport
 
 
@@ -22,6 +22,15 @@ def build_from_file(source: Path, unit: str, name: str) -> BuiltFinger:
         space, parameters = read_parameters(source)
         return build_finger(space.surface(parameters), name, space.name, parameters.tolist())
     return build_finger(read_surface(source, unit), name)
+
+
+def write_page(folder: Path, built: BuiltFinger) -> None:
+    """Writes report.html, the report with pictures."""
+    from codesign_report.finger_report import finger_page
+
+    left = built.pair.left
+    page = finger_page(built.report.as_dict(), left.vertices, left.faces)
+    write_text(folder / "report.html", page)
 
 
 def print_report(report: PrintReport, folder: Path, as_json: bool) -> None:

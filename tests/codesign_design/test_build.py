@@ -188,6 +188,10 @@ def test_build_command_on_parameters_and_on_a_surface(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["valid"]
     assert load_finger_pair(out).cage == "box-7"
+    page = (out / "report.html").read_text()
+    assert "✓ valid" in page
+    assert "data:image/png;base64," in page
+    assert load_finger_pair(out).content_hash in page
 
     result = CliRunner().invoke(app, [*arguments, str(out / "left.stl"), "--name", "again"])
     assert load_finger_pair(out).name == "again"
