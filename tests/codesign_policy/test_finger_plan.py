@@ -7,7 +7,7 @@ import trimesh
 from codesign_design.experts import expert, expert_names, flat_pad, scoop
 from codesign_design.finger_pair import FingerPair, TriangleMesh
 from codesign_design.stock import stock_fingers
-from codesign_policy.domain import TrialDomain, draw_domain
+from codesign_policy.domain import BLOCK_SIZE, TrialDomain, draw_domain
 from codesign_policy.finger_plan import front_view, plan_for
 from codesign_policy.grasp_trials import run_grasps
 from codesign_policy.simulated_fingers import SOLE, simulated_fingers
@@ -19,16 +19,16 @@ def pair(left: TriangleMesh, min_width: float = 0.0, max_width: float = 0.06) ->
 
 
 def test_front_view_measures_pad_and_lip() -> None:
-    view = front_view(scoop(lip=0.010, chamfer=0.006), Block())
+    view = front_view(scoop(lip=0.010, chamfer=0.006))
     assert view.pad == pytest.approx(0.010, abs=1e-6)
     assert view.lip == pytest.approx(0.010, abs=1e-6)
-    flat = front_view(flat_pad(), Block())
+    flat = front_view(flat_pad())
     assert flat.lip == pytest.approx(0.0, abs=1e-6)
     np.testing.assert_allclose(flat.depth, 0.0, atol=1e-6)  # larger than the block's side
 
 
 def test_narrow_pads_leave_part_of_the_block_uncovered() -> None:
-    depth = front_view(flat_pad(width=0.025, height=0.045), Block()).depth
+    depth = front_view(flat_pad(width=0.025, height=0.045)).depth
     assert np.isfinite(depth).mean() == pytest.approx(0.5, abs=0.01)
 
 
@@ -102,6 +102,10 @@ def test_lips_get_under_the_block_and_carry_it() -> None:
     for trial in run_grasps(fingers, [plan_for(fingers)] * 2, domains, tetrahedra=600):
         assert trial.metrics.success
         assert trial.metrics.peak_lift == pytest.approx(0.1 + 0.0015, abs=0.0007)
+
+
+def test_the_block_is_the_simulators() -> None:
+    assert Block().size == BLOCK_SIZE
 
 
 def test_plans_and_domains_come_in_pairs() -> None:
