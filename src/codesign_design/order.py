@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from codesign_design.build import build_finger
+from codesign_design.build import BuiltFinger, build_finger
 from codesign_design.design_file import write_parameters, write_stl, write_text
 from codesign_design.design_space import design_space
 from codesign_design.experts import expert_names, expert_surface
+from codesign_design.finger_files import save_finger_pair
 from codesign_design.finger_pair import FingerPair, TriangleMesh, check_surface
 from codesign_design.inverse import FitOptions, fit
 from codesign_design.mesh_checks import edge_checks
@@ -79,13 +80,17 @@ def deliver(
     if surface is None:
         pair = stock_fingers()
         report = json.dumps({"name": pair.name, "valid": True, "content_hash": pair.content_hash})
-        return DesignDelivery(pair, report, _write(pair, report, folder))
+        return DesignDelivery(
+            pair, report, _write(pair, lambda part: _save_stock(part, report), folder)
+        )
     name = order.name or (cage if cage else "finger")
     built = build_finger(surface, name, cage, parameters)
     if not built.report.valid:
         raise ValueError(f"finger {name!r} cannot be used: {'; '.join(built.report.problems)}")
     report = built.report.to_json()
-    return DesignDelivery(built.pair, report, _write(built.pair, report, folder))
+    return DesignDelivery(
+        built.pair, report, _write(built.pair, lambda part: _save(part, built), folder)
+    )
 
 
 def _shape(
@@ -110,20 +115,30 @@ def _shape(
     return space.name, order.parameters, space.surface(order.parameters)
 
 
-def _write(pair: FingerPair, report: str, folder: Path) -> tuple[Path, ...]:
+def _save(folder: Path, built: BuiltFinger) -> None:
+    """What a printer and `load_finger_pair` need; those for other simulators take much longer."""
+    pair = built.pair
+    save_finger_pair(folder, built, simulators=False)
+    if pair.cage:
+        space = design_space(pair.cage)
+        write_parameters(folder / "parameters.json", space, np.array(pair.parameters))
+
+
+def _save_stock(folder: Path, report: str) -> None:
+    pair = stock_fingers()
+    write_stl(folder / "left.stl", pair.left)
+    write_stl(folder / "right.stl", pair.right)
+    write_text(folder / "report.json", report + "\n")
+
+
+def _write(pair: FingerPair, save: Callable[[Path], None], folder: Path) -> tuple[Path, ...]:
     """Files of a pair; the folder is there with all of them or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     final = folder.resolve() / pair.content_hash[:16]
     if not final.exists():
         part = Path(tempfile.mkdtemp(prefix=".part-", dir=folder))
         try:
-            write_stl(part / "left.stl", pair.left)
-            write_stl(part / "right.stl", pair.right)
-            write_text(part / "report.json", report + "\n")
-            if pair.cage:
-                write_parameters(
-                    part / "parameters.json", design_space(pair.cage), np.array(pair.parameters)
-                )
+            save(part)
             part.chmod(0o755)
             os.replace(part, final)
         finally:

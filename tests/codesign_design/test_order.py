@@ -10,6 +10,7 @@ import trimesh
 from codesign_design.design_file import read_parameters
 from codesign_design.design_space import design_space
 from codesign_design.experts import expert, flat_pad
+from codesign_design.finger_files import load_finger_pair
 from codesign_design.finger_pair import TriangleMesh
 from codesign_design.mesh_checks import volume_and_centre
 from codesign_design.order import DesignOrder, deliver
@@ -23,6 +24,7 @@ def test_an_expert_comes_with_files_that_hold_the_same_volume(tmp_path: Path) ->
     folder = tmp_path / delivery.pair.content_hash[:16]
     assert list(delivery.files) == sorted(folder.iterdir())
     assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+    assert load_finger_pair(folder).content_hash == delivery.pair.content_hash
     volume = volume_and_centre(delivery.pair.left)[0]
     for side in ("left", "right"):
         stored = trimesh.load(folder / f"{side}.stl")
