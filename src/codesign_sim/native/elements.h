@@ -26,7 +26,7 @@ constexpr float NEARLY_DOUBLE = 0.005f;
 // Newton's step on the sum of the stretches, relative to it, that is taken for the last: it leaves
 // an error of its square.
 constexpr float LAST_STEP = 2e-4f;
-constexpr int MORE_STEPS = 12;
+constexpr int MORE_STEPS = 40;  // a stretch of 1,000 takes 25
 constexpr int FLAT_STEPS = 24;
 
 // The rotation nearest to a flat or inverted F: Mueller et al. 2016, "A robust method to extract

@@ -1,0 +1,47 @@
+"""Elastic forces of large deformations against the polar decomposition by singular values."""
+
+import numpy as np
+import pytest
+from small_block import SMALL
+
+from codesign_sim import Material, Simulator
+
+
+def expected_forces(block, positions: np.ndarray, material: Material) -> np.ndarray:
+    """-dE/dx of mu |F - R|^2 + lambda/2 tr(S - I)^2, with R the nearest rotation."""
+    mu, lam = material.lame
+    x = positions[block.tetrahedra]
+    edges = np.transpose(x[:, 1:] - x[:, :1], (0, 2, 1))
+    deformation = edges @ block.inverse_edges
+    u, s, vt = np.linalg.svd(deformation)
+    mirrored = np.linalg.det(u @ vt)
+    u[:, :, 2] *= mirrored[:, None]
+    s[:, 2] *= mirrored
+    rotation = u @ vt
+    trace = s.sum(axis=1) - 3
+    piola = 2 * mu * (deformation - rotation) + lam * trace[:, None, None] * rotation
+    pull = -block.volumes[:, None, None] * piola @ np.transpose(block.inverse_edges, (0, 2, 1))
+    corners = np.concatenate([-pull.sum(axis=2, keepdims=True), pull], axis=2)
+    forces = np.zeros_like(positions)
+    np.add.at(forces, block.tetrahedra, np.transpose(corners, (0, 2, 1)))
+    return forces
+
+
+@pytest.mark.parametrize(
+    "noise", [0.02, 0.2, 0.6]
+)  # of a cell of 10 mm; the last turns many inside out
+@pytest.mark.parametrize("stretch", [0.3, 1.0, 4.0, 100.0])
+def test_forces_of_large_deformations(noise, stretch):
+    rng = np.random.default_rng(0)
+    material = Material()
+    sim = Simulator(SMALL, table_height=None, environments=8)
+    sim.reset(material)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    shape = SMALL.nodes * [stretch, 1.0, 1.0] + noise * 0.01 * rng.standard_normal(
+        (8, *SMALL.nodes.shape)
+    )
+    sim.set_state(shape @ turn.T, np.zeros_like(shape))
+    for found, positions in zip(sim.elastic_forces(), shape @ turn.T, strict=True):
+        expected = expected_forces(SMALL, positions, material)
+        assert np.abs(found - expected).max() < 3e-4 * np.abs(expected).max()
