@@ -5,6 +5,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from codesign_design.columns import Columns, winding_numbers
 from codesign_design.finger_pair import TriangleMesh
 
 
@@ -46,8 +47,8 @@ def volume_iou(
 ) -> float:
     """Intersection over union of the enclosed volumes, on a grid of points.
 
-    Inside is where the winding number is above one half, so folds of a self-intersecting surface
-    count once.
+    Inside is where the winding number is positive, so folds of a self-intersecting surface count
+    once.
 
     Args:
         spacing: between grid points [m].
@@ -63,11 +64,8 @@ def volume_iou(
     axes = [
         np.arange(start, end, spacing) + spacing / 2 for start, end in zip(low, high, strict=True)
     ]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    in_a, in_b = (
-        igl.fast_winding_number(mesh.vertices, mesh.faces.astype(np.int64), grid) > 0.5
-        for mesh in (a, b)
-    )
+    columns = Columns(2, axes[0], axes[1])
+    in_a, in_b = (winding_numbers(mesh, columns, axes[2]) > 0 for mesh in (a, b))
     union = np.count_nonzero(in_a | in_b)
     if union == 0:
         raise ValueError(

@@ -71,13 +71,11 @@ def crossings(surface: TriangleMesh, columns: Columns) -> Crossings:
 def winding_numbers(
     surface: TriangleMesh, columns: Columns, levels: NDArray[np.float64]
 ) -> NDArray[np.int16]:
-    """Winding number at (first, second, level), levels evenly spaced along the axis [m]."""
+    """Winding number at (first, second, level), levels rising along the axis [m]."""
     found = crossings(surface, columns)
-    step = levels[1] - levels[0]
-    # A crossing counts for every level below it.
-    below = np.ceil((found.height - levels[0]) / step).astype(np.int64) - 1
+    below = np.searchsorted(levels, found.height) - 1  # a crossing counts for all levels below it
     inside = below >= 0
-    cell = found.column[inside] * len(levels) + np.minimum(below[inside], len(levels) - 1)
+    cell = found.column[inside] * len(levels) + below[inside]
     total = np.bincount(cell, found.sign[inside], columns.count * len(levels))
     steps = total.reshape(len(columns.first), len(columns.second), len(levels)).astype(np.int16)
     return np.cumsum(steps[..., ::-1], axis=-1, dtype=np.int16)[..., ::-1]
