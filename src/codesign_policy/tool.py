@@ -87,12 +87,14 @@ class Tool:
         self.width = np.clip(self.width + increments[:, 6], *self._gaps.T)
         self._turn = _turned(increments[:, 3:6], self._turn)
         command = np.clip(self._command + increments[:, :3], WORKSPACE_LOWER, WORKSPACE_UPPER)
-        command[:, 2] = np.maximum(command[:, 2], self._table_height - self._lowest())
+        self._lift_off_the_table(command, self._turn)
         step = np.concatenate([command - self._command, increments[:, 3:6]], axis=1)
         self._command = command
         self._ahead = self._decay * self._ahead - self._trail * step
         self.position = command + self._ahead[:, :3]
         self.quaternion = _turned(self._ahead[:, 3:], self._turn)
+        # A turn that lags behind its command may need more room than either end of it.
+        self._lift_off_the_table(self.position, self.quaternion)
 
     def targets(self, lanes: NDArray[np.int_] | None = None) -> FingerTargets:
         """Where the fingers of these lanes are to be; None for all."""
@@ -104,11 +106,12 @@ class Tool:
         """Direction from the right finger to the left one, (E, 3)."""
         return rotation_matrix(self.quaternion)[:, :, 1]
 
-    def _lowest(self) -> Array:
-        """z of the lowest point of the fingers as commanded, from the grasp frame, (E,) [m]."""
-        row = rotation_matrix(self._turn)[:, 2]
+    def _lift_off_the_table(self, position: Array, quaternion: Array) -> None:
+        """Raises positions (E, 3) of the grasp frame until the fingers' lowest points are clear."""
+        row = rotation_matrix(quaternion)[:, 2]
         height = (self._hull @ row[:, None, :, None])[..., 0].min(axis=2)
-        return (height + _SIDES * (self.width * row[:, 1])[:, None]).min(axis=1)
+        lowest = (height + _SIDES * (self.width * row[:, 1])[:, None]).min(axis=1)
+        position[:, 2] = np.maximum(position[:, 2], self._table_height - lowest)
 
 
 def _repeated(points: Array, count: int) -> Array:
