@@ -134,7 +134,8 @@ class Temperature(nn.Module):
     ) -> None:
         """Args: weight at the start; entropy to aim at [nats], None: fixed weight; its bounds."""
         super().__init__()
-        self.log_value = nn.Parameter(torch.tensor(math.log(start)))
+        log_start = torch.tensor(math.log(start))
+        self.log_value = nn.Parameter(log_start, requires_grad=target is not None)
         self.target, self.limits = target, limits
 
     def value(self) -> float:

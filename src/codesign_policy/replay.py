@@ -78,10 +78,6 @@ class Batch:
     terminated: Tensor
     weight: Tensor
 
-    def pick(self, mask: Tensor) -> "Batch":
-        """The rows where `mask` is True."""
-        return Batch(**{f.name: getattr(self, f.name)[mask] for f in fields(self)})
-
 
 class ReplayBuffer:
     """Rows in preallocated arrays; when full, the oldest are overwritten."""

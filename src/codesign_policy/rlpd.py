@@ -10,6 +10,7 @@ Nothing leads back into the design stage, so every target needs the control acto
 """
 
 import copy
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -109,10 +110,13 @@ class Agent:
             **{f"{stage}_temperature": value for stage, value in self.temperatures.items()},
         }
         self._optimizers = {
-            name: torch.optim.Adam(network.parameters(), lr=preset.learning_rate, fused=True)
-            for name, network in self._networks.items()
-            if name != "target_critics"
+            "critics": self._adam(self.critics),
+            "actors": self._adam(*self.actors.values(), *self.temperatures.values()),
         }
+
+    def _adam(self, *networks: nn.Module) -> torch.optim.Adam:
+        parameters = [p for net in networks for p in net.parameters() if p.requires_grad]
+        return torch.optim.Adam(parameters, lr=self.preset.learning_rate, fused=True)
 
     @torch.no_grad()
     def act(self, observation: NDArray[np.floating], *, explore: bool) -> NDArray[np.float32]:
@@ -164,8 +168,7 @@ class Agent:
         log = self._update_critics(batch)
         self.updates += 1
         if self.updates % self.preset.actor_period == 0:
-            log |= self._update_actor("control", batch.pick(batch.in_control))
-            log |= self._update_actor("design", batch.pick(~batch.in_control))
+            log |= self._update_actors(batch)
         return log
 
     @torch.no_grad()
@@ -191,49 +194,58 @@ class Agent:
     def _update_critics(self, batch: Batch) -> dict[str, float]:
         targets = self.targets(batch)
         values = self.critics(batch.observation, batch.action)
-        loss = ((values - targets).square() * batch.weight).mean()
-        self._descend("critics", loss)
+        error = self._descend("critics", ((values - targets).square() * batch.weight).mean())
         with torch.no_grad():
             torch._foreach_lerp_(
                 list(self.target_critics.parameters()),
                 list(self.critics.parameters()),
                 self.preset.target_rate,
             )
-        return {"critic_loss": loss.item(), "value": values.detach().mean().item()}
+        return {"critic_loss": error, "value": values.detach().mean().item()}
 
-    def _update_actor(self, stage: Stage, batch: Batch) -> dict[str, float]:
-        """Towards actions that all critics together value, and towards the target entropy."""
-        if not len(batch.weight):
-            return {}
-        temperature = self.temperatures[stage]
-        weight = batch.weight / batch.weight.sum()
-        mean, log_std = self.actors[stage](batch.observation)
+    def _update_actors(self, batch: Batch) -> dict[str, float]:
+        """Actors towards what all critics together value, temperatures towards their targets."""
+        log: dict[str, float] = {}
+        losses = [
+            self._actor_loss("control", batch, batch.in_control, log),
+            self._actor_loss("design", batch, ~batch.in_control, log),
+        ]
+        self._descend("actors", torch.stack([loss for loss in losses if loss is not None]).sum())
+        for network in (self.actors["design"], *self.temperatures.values()):
+            network.keep_in_range()  # type: ignore[operator]
+        return log
+
+    def _actor_loss(
+        self, stage: Stage, batch: Batch, rows: Tensor, log: dict[str, float]
+    ) -> Tensor | None:
+        """Of one stage's actor and temperature, over the rows of that stage; None without any."""
+        if not rows.any():
+            return None
+        observation, weight = batch.observation[rows], batch.weight[rows]
+        weight = weight / weight.sum()
+        mean, log_std = self.actors[stage](observation)
         action, log_density = sample_squashed(mean, log_std, self._random)
-        value = self.critics(batch.observation, self._joint(stage, action)).mean(dim=0)
+        value = self.critics(observation, self._joint(stage, action)).mean(dim=0)
+        temperature = self.temperatures[stage]
         loss = (weight * (temperature.value() * log_density - value)).sum()
-        self._descend(f"{stage}_actor", loss)
         entropy = -(weight * log_density.detach()).sum()
-        if temperature.target is not None:
-            self._descend(f"{stage}_temperature", temperature.loss(entropy))
-        return {
-            f"{stage}_actor_loss": loss.item(),
-            f"{stage}_entropy": entropy.item(),
-            f"{stage}_temperature": temperature.value(),
-        }
+        log[f"{stage}_entropy"] = entropy.item()
+        log[f"{stage}_temperature"] = temperature.value()
+        return loss if temperature.target is None else loss + temperature.loss(entropy)
 
-    def _descend(self, name: str, loss: Tensor) -> None:
-        """One step of one network's optimizer; the others' gradients are not even computed."""
-        if not torch.isfinite(loss):
+    def _descend(self, name: str, loss: Tensor) -> float:
+        """One step of an optimizer down this loss; gradients of other parameters are not made."""
+        value = loss.item()
+        if not math.isfinite(value):
             raise LearningError(
-                f"loss of {name} is {loss.item()} at update {self.updates}: look for outliers in "
-                "the reward's components, or lower the learning rate"
+                f"loss of {name} is {value} at update {self.updates}: look for outliers in the "
+                "reward's components, or lower the learning rate"
             )
-        network, optimizer = self._networks[name], self._optimizers[name]
+        optimizer = self._optimizers[name]
         optimizer.zero_grad()
-        loss.backward(inputs=list(network.parameters()))
+        loss.backward(inputs=optimizer.param_groups[0]["params"])
         optimizer.step()
-        if isinstance(network, DesignActor | Temperature):
-            network.keep_in_range()
+        return value
 
     def _joint(self, stage: Stage, part: Tensor) -> Tensor:
         """[a_D, a_C] (B, a) from the part that acts in this stage; the idle part is zero."""

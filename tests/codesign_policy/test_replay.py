@@ -125,8 +125,7 @@ def test_half_of_a_batch_comes_from_each_buffer() -> None:
     assert not from_offline[32:].any()
     for half in (slice(0, 32), slice(32, 64)):
         assert (~batch.in_control[half]).sum() == 4
-    picked = batch.pick(~batch.in_control)
-    assert picked.reward.shape == (8,)
+    assert batch.reward.shape == batch.weight.shape == (64,)
 
 
 @pytest.mark.parametrize(

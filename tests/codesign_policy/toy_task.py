@@ -16,7 +16,7 @@ from codesign_policy.replay import Spaces
 from codesign_policy.rounds import Episodes
 
 BEST = np.array([0.3, -0.2])
-STEPS = 10
+STEPS = 5
 SPACES = Spaces(observation=5, design=2, control=2)  # point, f, design
 COMPONENTS = ("distance", "design")
 WEIGHTS = {"distance": 1.0, "design": 10.0}
@@ -25,12 +25,12 @@ BEST_RETURN = -0.4
 
 
 class ToyEnv(VectorEnv):
-    """Observation [point, f = 1, design]; the time limit ends an episode."""
+    """Observation [point, f = 1, design]; after STEPS an episode is truncated, or terminated."""
 
     metadata = {"autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012
 
-    def __init__(self, num_envs: int) -> None:
-        self.num_envs = num_envs
+    def __init__(self, num_envs: int, *, terminates: bool = False) -> None:
+        self.num_envs, self._terminates = num_envs, terminates
         self.single_observation_space = Box(-np.inf, np.inf, (5,), np.float32)
         self.single_action_space = Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -59,7 +59,9 @@ class ToyEnv(VectorEnv):
         if last.any():
             info["final_info"] = {"success": distance < 0.05}
         reward = sum(WEIGHTS[name] * info[f"reward_{name}"] for name in COMPONENTS)
-        return self._observations(), reward, np.zeros_like(last), last, info
+        no = np.zeros_like(last)
+        ends = (last, no) if self._terminates else (no, last)
+        return self._observations(), reward, *ends, info
 
     def targets(self) -> np.ndarray:
         angle = np.pi / 2.0 * self._designs[:, 0]
@@ -70,7 +72,8 @@ class ToyEnv(VectorEnv):
         return np.concatenate([self._points, flag, self._designs], axis=1).astype(np.float32)
 
 
-def toy_episodes(lanes: int, *, two_stages: bool = True) -> Episodes:
+def toy_episodes(lanes: int, *, two_stages: bool = True, terminates: bool = False) -> Episodes:
     """The task with, or without, its design stage."""
     design_observation = np.zeros(5, np.float32) if two_stages else None
-    return Episodes(ToyEnv(lanes), COMPONENTS, ("success",), design_observation)
+    env = ToyEnv(lanes, terminates=terminates)
+    return Episodes(env, COMPONENTS, ("success",), design_observation)
