@@ -100,9 +100,7 @@ def shape_finger(surface: TriangleMesh) -> Shape:
         ValueError: like `build_finger`.
     """
     _check_input(surface)
-    raw = check_mesh(surface)
-    repaired = None if raw.valid else repair(surface, MAX_DEPTH)
-    for body in [surface] if repaired is None else _smoother_first(repaired):
+    for body, repaired in _candidates(surface):
         mounted = mount_finger(body)
         shape = Shape(body, mounted, check_mesh(mounted.mesh), repaired)
         if shape.checks.valid:
@@ -110,8 +108,16 @@ def shape_finger(surface: TriangleMesh) -> Shape:
     return shape
 
 
-def _smoother_first(repaired: Repaired) -> Iterator[TriangleMesh]:
-    return (smoothed(repaired.mesh, iterations) for iterations in SMOOTHING)
+def _candidates(surface: TriangleMesh) -> Iterator[tuple[TriangleMesh, Repaired | None]]:
+    """The surface as it is if it is valid, then remeshed, the smoother first.
+
+    The union with the mount can spoil a valid surface whose faces touch it edge on.
+    """
+    if check_mesh(surface).valid:
+        yield surface, None
+    repaired = repair(surface, MAX_DEPTH)
+    for iterations in SMOOTHING:
+        yield smoothed(repaired.mesh, iterations), repaired
 
 
 def _check_input(surface: TriangleMesh) -> None:
