@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import os
+import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,6 +15,26 @@ import warp as wp
 
 # Warp reports itself on standard output, where a command's JSON belongs.
 wp.config.log_level = 40
+
+
+def _start_warp() -> None:
+    """Starts Warp; on machines without a GPU driver, without its warning that there is none."""
+    with contextlib.suppress(OSError):
+        ctypes.CDLL("libcuda.so.1")
+        wp.init()
+        return
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)  # the warning comes from native code
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+_start_warp()
 
 _NATIVE = Path(__file__).parent / "native"
 _HEADERS = ["vec3.h", "team.h", "lanes.h", "elements.h", "contact.h", "fem.h"]
