@@ -1,6 +1,6 @@
 """Writes src/codesign_design/cages/*.json: how each rest cage was constructed.
 
-Run once; raise VERSION when a cage changes, because stored design parameters belong to a version.
+Run once; raise a cage's version when it changes, because stored design parameters belong to one.
 """
 
 import json
@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 
 from codesign_design.base_mesh import BOX_SIZE, LIP_BODY, LIP_LENGTH, UNIT_LENGTH, base_mesh
 
-VERSION = 1
+VERSIONS = {"sphere-7": 2}  # of all others: 1
 FOLDER = Path(__file__).parents[1] / "src/codesign_design/cages"
 MARGIN = 1.05  # cage size over the smallest that contains the base mesh
 UNIT = UNIT_LENGTH * 1e3  # mm
@@ -25,16 +25,28 @@ def bipyramid() -> np.ndarray:
     return np.concatenate([ring, [[0, 0, 1], [0, 0, -1]]])
 
 
-def capped_prism() -> np.ndarray:
-    """A triangular prism around the unit sphere, with a handle above one of its sides.
+def tuned_bipyramid() -> tuple[np.ndarray, np.ndarray]:
+    """A pentagonal bipyramid whose handles were moved until the five targets fitted best.
 
-    Inradius 1.01. On the five targets it fits 3 to 6 % better than the pentagonal bipyramid.
+    Descent by Adam on the mean two-way Chamfer distance of the fits, through the coordinates, the
+    fits solved anew in each step (the scoop counted twice, points in its lip four times), every
+    face kept 1.01 from the origin. Inradius 1.016, one edge slightly concave. Against a capped
+    prism and the regular bipyramid, fits come a third closer, also to fingers it was not tuned on.
     """
-    angles = 2 * np.pi * np.arange(3) / 3
-    ends = [
-        np.column_stack([2 * np.cos(angles), 2 * np.sin(angles), np.full(3, z)]) for z in (1, -1)
-    ]
-    return np.concatenate([*ends, [[-2.5, 0, 0]]]) * 1.01
+    points = np.array(
+        [
+            [1.64, -1.0, 0.05],
+            [2.14, 0.7, 0.08],
+            [-2.51, 2.27, -0.36],
+            [-0.17, -1.89, -0.29],
+            [1.48, -1.09, 0.03],
+            [-1.4, 0.43, 2.15],
+            [-1.16, 0.64, -2.15],
+        ]
+    )
+    faces = [[0, 1, 5], [0, 4, 6], [0, 5, 4], [0, 6, 1], [1, 2, 5]]
+    faces += [[1, 6, 2], [2, 3, 5], [2, 6, 3], [3, 4, 5], [3, 6, 4]]
+    return points, np.array(faces)
 
 
 def icosahedron() -> np.ndarray:
@@ -201,9 +213,13 @@ def lip_cages() -> dict[int, tuple[np.ndarray, np.ndarray]]:
 
 
 def main() -> None:
-    sphere = {7: capped_prism(), 12: icosahedron(), 30: thomson(30) * 1.2206}
+    twelve, thirty = icosahedron(), thomson(30) * 1.2206
     cages = {
-        "sphere": {count: (points, hull(points)) for count, points in sphere.items()},
+        "sphere": {
+            7: tuned_bipyramid(),
+            12: (twelve, hull(twelve)),
+            30: (thirty, hull(thirty)),
+        },
         "torus": torus_cages(),
         "box": box_cages(),
         "lip": lip_cages(),
@@ -212,13 +228,14 @@ def main() -> None:
     for base, of_base in cages.items():
         for count, (points, faces) in of_base.items():
             assert len(points) == count, (base, count, len(points))
+            name = f"{base}-{count}"
             data = {
-                "name": f"{base}-{count}",
-                "version": VERSION,
+                "name": name,
+                "version": VERSIONS.get(name, 1),
                 "handles": points.round(9).tolist(),
                 "faces": faces.tolist(),
             }
-            (FOLDER / f"{base}-{count}.json").write_text(json.dumps(data) + "\n")
+            (FOLDER / f"{name}.json").write_text(json.dumps(data) + "\n")
 
 
 if __name__ == "__main__":

@@ -3,12 +3,13 @@
 Many restarts run as one batch. "adam" is the paper's: gradient descent on the two-way Chamfer
 distance of freshly sampled surfaces. "icp" alternates closest points with a closed-form solve for
 all handles, reweighted so that it lowers the mean distance and not the mean square. Restarts that
-fall behind are dropped on the way; the last few are polished against the exact surfaces.
+fall behind are dropped on the way; the rest are polished against the exact surfaces, all briefly
+and the last few to the end.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import igl
 import numpy as np
@@ -24,8 +25,9 @@ from codesign_design.finger_pair import TriangleMesh
 from codesign_design.matching import Rows, Samples, Surface, chamfer_rows, closing_rows, wall_rows
 
 _WITHIN = 0.75  # share of the bounds that a fit may use
-_POLISH_SAMPLES = 1500
-_POLISH_STEP = 0.7
+_POLISH_SAMPLES = 600
+_BRIEF = 12  # polishing iterations of those that are left, before the last choice
+_EMPHASIS = 4.0  # what target points within the region count for
 _AVERAGED = 10
 _DAMPING = 1e-5
 _ADAM_RATE = 0.02  # units
@@ -44,7 +46,7 @@ class FitOptions:
         iterations: at most, before polishing; all restarts in the first third, the better third
             of them after that.
         samples: per surface and iteration.
-        polished: restarts that are polished at the end.
+        polished: restarts that are polished at the end; the better third briefly before.
         polish_iterations: at most, each.
         patience: stop polishing after this many iterations without an improvement of 0.1 %.
         normal_weight: distance that a reversed normal counts for, halved [m].
@@ -115,8 +117,9 @@ def fit(
 
     Args:
         target: closed surface of a left finger in the grasp frame.
-        region: (2, 3) corners of a box [m], e.g. around a lip; of the polished restarts, the one
-            with the best overlap there is kept among those within 10 % of the best Chamfer.
+        region: (2, 3) corners of a box [m], e.g. around a lip. Distances to target points in it
+            count three times; of the polished restarts, the one with the best overlap there is
+            kept among those within 10 % of the best Chamfer.
         progress: told how far it is.
 
     Raises:
@@ -124,14 +127,17 @@ def fit(
     """
     started = time.perf_counter()
     options = options or FitOptions()
-    problem = _Problem(space, target, options)
+    problem = _Problem(space, target, options, region)
     handles, curve = problem.search(progress)
+    brief = min(_BRIEF, options.polish_iterations)
+    handles = torch.stack([problem.polish(start, brief)[0] for start in handles])
+    progress(0.6)
     candidates = []
-    for index, start in enumerate(handles):
-        best, tail = problem.polish(start)
+    for index, start in enumerate(problem.best(handles, options.polished)):
+        best, tail = problem.polish(start, options.polish_iterations)
         candidates.append(best)
         curve = curve + tail if index == 0 else curve
-        progress(0.5 + 0.45 * (index + 1) / len(handles))
+        progress(0.6 + 0.35 * (index + 1) / options.polished)
     surfaces = [problem.surface(each) for each in candidates]
     chamfers = np.array([chamfer_distance(surface, target) for surface in surfaces])
     kept = int(chamfers.argmin())
@@ -157,8 +163,15 @@ def fit(
 class _Problem:
     """One target in unit space, with what both methods share."""
 
-    def __init__(self, space: DesignSpace, target: TriangleMesh, options: FitOptions) -> None:
+    def __init__(
+        self,
+        space: DesignSpace,
+        target: TriangleMesh,
+        options: FitOptions,
+        region: NDArray[np.float64] | None = None,
+    ) -> None:
         self.space, self.options = space, options
+        self.region = None if region is None else torch.from_numpy((region - CENTRE) / UNIT_LENGTH)
         self.target = TriangleMesh((target.vertices - CENTRE) / UNIT_LENGTH, target.faces)
         self.base = Surface(space.weights, space.faces)
         self.rest = torch.from_numpy(space.cage.handles)
@@ -196,7 +209,7 @@ class _Problem:
         return handles + scatter * noise
 
     def search(self, progress: Progress) -> tuple[Tensor, list[float]]:
-        """The best restarts (polished, N, 3) before polishing, and the curve."""
+        """The restarts that are left before polishing, (K, N, 3), and the curve."""
         options = self.options
         handles, curve = self.starts(), []
         advance = _Adam(handles) if options.method == "adam" else _solve
@@ -212,14 +225,21 @@ class _Problem:
             if index == iterations // 3:
                 handles = self.best(handles, max(options.polished, options.restarts // 3))
                 advance = _Adam(handles) if options.method == "adam" else _solve
-        return self.best(handles, options.polished), curve
+        return handles, curve
 
     def rows(self, handles: Tensor, count: int, fading: float) -> Rows:
         options = self.options
         finger = self.base.sample(handles, count, self.random)
         points, normals = self.target_samples(count)
         rows = chamfer_rows(finger, points, normals, fading * options.normal_weight / UNIT_LENGTH)
-        return Rows.joined([rows, *self.penalties(finger)])
+        return Rows.joined([self.emphasised(rows), *self.penalties(finger)])
+
+    def emphasised(self, rows: Rows) -> Rows:
+        """The rows; those with their goal in the region count more."""
+        if self.region is None:
+            return rows
+        inside = ((rows.goals > self.region[0]) & (rows.goals < self.region[1])).all(-1)
+        return replace(rows, importance=rows.importance * torch.where(inside, _EMPHASIS, 1.0))
 
     def penalties(self, finger: Samples) -> list[Rows]:
         options = self.options
@@ -246,25 +266,25 @@ class _Problem:
             scores.append(there.mean() + back.mean())
         return handles[torch.from_numpy(np.argsort(scores)[:count].copy())]
 
-    def polish(self, handles: Tensor) -> tuple[Tensor, list[float]]:
+    def polish(self, handles: Tensor, iterations: int) -> tuple[Tensor, list[float]]:
         """Solves on with the surfaces' true nearest points.
 
         Returns:
-            (N, 3), the mean of the last `_AVERAGED` iterates, which evens out the fresh samples'
-            scatter; and the curve.
+            (N, 3), the mean of the last iterates, at most `_AVERAGED` and half of all, which evens
+            out the fresh samples' scatter; and the curve.
         """
         iterates, least, since, curve = [handles], np.inf, 0, []
-        for _ in range(self.options.polish_iterations):
+        for _ in range(iterations):
             rows, distance = self.exact_rows(handles)
             since = 0 if distance < 0.999 * least else since + 1
             least = min(least, distance)
             curve.append(least * UNIT_LENGTH)
             if since > self.options.patience:
                 break
-            step = _solve(rows, handles[None], nearest=0.05e-3, sliding=0.95)[0] - handles
-            handles = self.limited(handles + _POLISH_STEP * step)
+            handles = self.limited(_solve(rows, handles[None], nearest=0.2e-3, sliding=0.97)[0])
             iterates.append(handles)
-        return torch.stack(iterates[-_AVERAGED:]).mean(0), curve
+        averaged = min(_AVERAGED, (len(iterates) + 1) // 2)
+        return torch.stack(iterates[-averaged:]).mean(0), curve
 
     def exact_rows(self, handles: Tensor) -> tuple[Rows, float]:
         """Rows of one finger from its surface to the target's and back, and their mean length."""
@@ -283,7 +303,8 @@ class _Problem:
             (offsets / lengths.clamp_min(1e-9)[:, None])[None],
             torch.ones(1, len(offsets), dtype=torch.float64),
         )
-        return Rows.joined([rows, *self.penalties(finger)]), float(lengths.mean())
+        rows = Rows.joined([self.emphasised(rows), *self.penalties(finger)])
+        return rows, float(lengths.mean())
 
 
 def _distances(rows: Rows, handles: Tensor) -> Tensor:

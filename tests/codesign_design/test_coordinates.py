@@ -27,7 +27,7 @@ def points_inside(seed: int, count: int = 20) -> Tensor:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**31), name=st.sampled_from(["sphere-7", "sphere-12", "sphere-30"]))
-def test_reproduce_affine_motions_and_are_positive_in_a_convex_cage(seed: int, name: str) -> None:
+def test_reproduce_affine_motions_and_are_positive_around_the_sphere(seed: int, name: str) -> None:
     handles, faces = cage(name)
     points = points_inside(seed)
     weights = mean_value_coordinates(points, handles, faces)

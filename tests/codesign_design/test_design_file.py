@@ -38,7 +38,7 @@ def test_parameters_survive_to_the_last_digit(tmp_path: Path) -> None:
 )
 def test_files_that_do_not_fit_are_refused(tmp_path: Path, change: dict, message: str) -> None:
     path = tmp_path / "p.json"
-    content = {"space": "sphere-7", "version": 1, "parameters": [0.0] * 21}
+    content = {"space": "sphere-7", "version": 2, "parameters": [0.0] * 21}
     path.write_text(json.dumps(content | change))
     with pytest.raises(ValueError, match=message):
         read_parameters(path)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from codesign_design.chamfer import distances_to
 from codesign_design.design_space import design_space
 from codesign_design.finger_pair import TriangleMesh
 from codesign_design.inverse import FitOptions, fit
@@ -55,6 +56,17 @@ def test_region_decides_between_fits_that_are_alike() -> None:
     assert result.chamfer <= 1.1 * result.others.min()
     assert result.region_iou is not None
     assert result.region_iou > 0.6
+
+
+def test_emphasis_on_a_region_brings_the_surface_closer_there() -> None:
+    space, scoop = design_space("lip-7"), target("scoop")  # too few handles for all of it
+    options = replace(QUICK, polished=2)
+    lip = np.array([p for p in scoop.vertices if (p > SCOOP_LIP_REGION[0]).all()])
+    lip = lip[(lip < SCOOP_LIP_REGION[1]).all(1)]
+    plain = fit(space, scoop, options)
+    keen = fit(space, scoop, options, region=SCOOP_LIP_REGION)
+    away = [distances_to(lip, each.surface).mean() for each in (plain, keen)]
+    assert away[1] < 0.9 * away[0]
 
 
 def test_keeps_within_the_bounds() -> None:
