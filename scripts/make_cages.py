@@ -30,8 +30,8 @@ def tuned_bipyramid() -> tuple[np.ndarray, np.ndarray]:
 
     Descent by Adam on the mean two-way Chamfer distance of the fits, through the coordinates, the
     fits solved anew in each step (the scoop counted twice, points in its lip four times), every
-    face kept 1.01 from the origin. Inradius 1.016, one edge slightly concave. Against a capped
-    prism and the regular bipyramid, fits come a third closer, also to fingers it was not tuned on.
+    face's plane kept 1.01 from the origin. One edge came out slightly concave. Fits come 30 %
+    closer to the targets than with a capped prism, and 14 % to four fingers not tuned on.
     """
     points = np.array(
         [

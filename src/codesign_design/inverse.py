@@ -118,7 +118,7 @@ def fit(
     Args:
         target: closed surface of a left finger in the grasp frame.
         region: (2, 3) corners of a box [m], e.g. around a lip. Distances to target points in it
-            count three times; of the polished restarts, the one with the best overlap there is
+            count four times; of the polished restarts, the one with the best overlap there is
             kept among those within 10 % of the best Chamfer.
         progress: told how far it is.
 
