@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,7 @@ from codesign_policy.lanes import (
     Info,
     Lanes,
     Step,
+    check_options,
     check_swap,
     episode_seed,
     final_entries,
@@ -27,7 +29,7 @@ from codesign_policy.lanes import (
     swapped,
 )
 from codesign_policy.reward import RewardComponents, RewardWeights, reward_components, weighted
-from codesign_policy.simulated_fingers import simulated_fingers
+from codesign_policy.simulated_fingers import lip, simulated_fingers
 from codesign_policy.task import (
     CONTROL_STAGE,
     POLICY_PERIOD,
@@ -58,7 +60,8 @@ class ControlConfig:
         friction: range that friction is drawn from.
         start: where the tool begins.
         lag: time constant with which the tool follows its commands [s].
-        min_gap: smallest gap that can be commanded, whatever the fingers allow [m].
+        min_gap: smallest gap between the fingers' pads that can be commanded [m]; the gap itself
+            is that between their most protruding points, such as lips.
         end_when_lost: terminate an episode once the lifted object is no longer touched.
     """
 
@@ -163,10 +166,14 @@ class ControlEnv(VectorEnv):
                 next episode of every lane; at the first reset it stands for a random seed.
             options: "reset_mask", (E,) bool: only these lanes; the others keep their state.
                 "fingers", {lane: FingerPair}: new fingers for lanes that are reset.
+
+        Raises:
+            ValueError: another option, or lanes and fingers that do not belong together.
         """
         super().reset(seed=seed)
-        lanes = self._chosen(options or {})
-        self._swap_fingers((options or {}).get("fingers", {}), lanes)
+        options = check_options(options, "reset_mask", "fingers")
+        lanes = self._chosen(options)
+        self._swap_fingers(options.get("fingers", {}), lanes)
         if seed is None and (self._episodes[lanes] < 0).any():
             seed = int(self.np_random.integers(2**31))
         if seed is not None:
@@ -190,13 +197,16 @@ class ControlEnv(VectorEnv):
         chosen = sorted(fingers)
         pairs = _surfaces([fingers[lane] for lane in chosen])
         left, right = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-        self.simulator.set_fingers(left, right, chosen)
+        with warnings.catch_warnings():  # of thin walls, thousands of times: designs come and go
+            warnings.simplefilter("ignore", UserWarning)
+            self.simulator.set_fingers(left, right, chosen)
         self._tell_tool(chosen)
 
     def _tell_tool(self, lanes: Sequence[int]) -> None:
         limits = self.simulator.closing_limits
         for lane in lanes:
-            narrowest = max(self.config.min_gap, float(limits[lane]))
+            between_lips = self.config.min_gap - 2.0 * lip(self.fingers[lane])
+            narrowest = max(between_lips, float(limits[lane]))
             self._tool.set_fingers(lane, self.fingers[lane], narrowest)
 
     def _start(self, lanes: Lanes) -> None:

@@ -25,6 +25,7 @@ from codesign_policy.lanes import (
     STEP_INFO,
     Info,
     Step,
+    check_options,
     check_swap,
     final_entries,
     observation_size,
@@ -125,12 +126,13 @@ class PooledControlEnv(VectorEnv):
         """As `ControlEnv.reset`."""
         super().reset(seed=seed)
         self._require_open()
-        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=bool)
+        options = check_options(options, "reset_mask", "fingers")
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(f"reset_mask {mask}: give {self.num_envs} flags, at least one True")
         if seed is None and not self._was_reset[mask].all():
             seed = int(self.np_random.integers(2**31))
-        fingers = check_swap((options or {}).get("fingers", {}), np.flatnonzero(mask))
+        fingers = check_swap(options.get("fingers", {}), np.flatnonzero(mask))
         self.fingers = swapped(self.fingers, fingers)
         asked = [worker for worker in self._workers if mask[worker.lanes].any()]
         for worker in asked:

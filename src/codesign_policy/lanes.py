@@ -101,6 +101,15 @@ def per_lane(fingers: FingerPair | Sequence[FingerPair] | None, count: int) -> l
     return pairs
 
 
+def check_options(options: Mapping[str, Any] | None, *known: str) -> Mapping[str, Any]:
+    """The options of a reset, none for None; ValueError names those that are not known."""
+    options = options or {}
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise ValueError(f"reset options {unknown} are unknown: there are {list(known)}")
+    return options
+
+
 def check_swap(fingers: Mapping[int, FingerPair], lanes: Lanes) -> Mapping[int, FingerPair]:
     """New fingers by lane, all of them in lanes that are reset; ValueError otherwise."""
     stray = sorted(set(fingers) - set(lanes.tolist()))

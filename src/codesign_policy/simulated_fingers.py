@@ -2,19 +2,21 @@
 
 Fingers with a lip get a sole. The lip slides on the table, so nothing can be below it; but the
 simulated table holds the block only, and a contact point of the block's base, a few hundredths of
-a millimetre in the table, would find itself under the lip for good. The sole goes on where the lip
-ends: what the lip reaches is then above it. The real finger has none, and needs none.
+a millimetre in the table, would find itself under the lip for good. The sole fills what is below
+the lip, rounded undersides too: what the lip reaches is then above it. The real finger has none.
 """
 
 import numpy as np
-from manifold3d import Manifold, Mesh64
+from manifold3d import CrossSection, Manifold, Mesh64, OpType
 
 from codesign_design.finger_pair import FingerPair, TriangleMesh
 from codesign_policy.finger_plan import LEAST_LIP, front_view
 from codesign_sim import SurfaceMesh
 
 SOLE = 0.0025  # m, thicker than contact points ever sink into a surface
-_CUT = 0.00005  # m above the tips, where the lip's outline is taken
+_CUTS = np.arange(0.05, 1.5, 0.2)  # mm above the tips, where the foot's outline is taken
+_NEW_AREA = 1.0  # mm^2, an outline that adds less is left out
+_CLEANED = 1e-3  # mm, to which slivers of the union are removed
 
 
 def simulated_fingers(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
@@ -23,14 +25,19 @@ def simulated_fingers(fingers: FingerPair) -> tuple[SurfaceMesh, SurfaceMesh]:
     Raises:
         ValueError: a mesh is not a closed surface, wound outward.
     """
-    left, right = (SurfaceMesh(m.vertices, m.faces) for m in (fingers.left, fingers.right))
-    if front_view(fingers.left).lip <= LEAST_LIP:
+    if lip(fingers) <= LEAST_LIP:
+        left, right = (SurfaceMesh(m.vertices, m.faces) for m in (fingers.left, fingers.right))
         return left, right
     return with_sole(fingers.left), with_sole(fingers.right)
 
 
+def lip(fingers: FingerPair) -> float:
+    """How far the foot of a finger protrudes beyond its pad [m]; inf where there is no pad."""
+    return front_view(fingers.left).lip
+
+
 def with_sole(mesh: TriangleMesh) -> SurfaceMesh:
-    """The finger, thicker by `SOLE` below its lowest face.
+    """The finger, filled below its foot and thicker there by `SOLE`.
 
     Raises:
         ValueError: the mesh encloses no solid.
@@ -38,8 +45,18 @@ def with_sole(mesh: TriangleMesh) -> SurfaceMesh:
     solid = Manifold(Mesh64(mesh.vertices * 1e3, mesh.faces.astype(np.uint64)))
     if solid.is_empty():
         raise ValueError(f"finger mesh encloses no solid: {solid.status()}; repair it first")
-    cut = mesh.vertices[:, 2].max() - _CUT
-    sole = solid.slice(cut * 1e3).extrude((SOLE + _CUT) * 1e3)
-    united = (solid + sole.translate((0.0, 0.0, cut * 1e3))).to_mesh64()
-    vertices = np.asarray(united.vert_properties[:, :3], dtype=np.float64) / 1e3
-    return SurfaceMesh(vertices, np.asarray(united.tri_verts, dtype=np.int32))
+    united = Manifold.batch_boolean([solid, *_fillings(solid)], OpType.Add)
+    surface = united.simplify(_CLEANED).to_mesh64()
+    vertices = np.asarray(surface.vert_properties[:, :3], dtype=np.float64) / 1e3
+    return SurfaceMesh(vertices, np.asarray(surface.tri_verts, dtype=np.int32))
+
+
+def _fillings(solid: Manifold) -> list[Manifold]:
+    """What is below the foot [mm]: outlines at several heights, each down to the sole's end."""
+    tip, covered, found = solid.bounding_box()[5], CrossSection(), []
+    for cut in _CUTS:
+        outline = solid.slice(tip - cut)
+        if (outline - covered).area() > _NEW_AREA:
+            found.append(outline.extrude(SOLE * 1e3 + cut).translate((0.0, 0.0, tip - cut)))
+            covered += outline
+    return found

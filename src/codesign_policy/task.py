@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+TASK_VERSION = 1  # of observation, action and reward components: stored transitions name it
 POLICY_PERIOD = 0.05  # s, 20 Hz
 
 # Largest change in one policy period: 0.14 m/s and 0.5 rad/s along each axis, 0.1 m/s of the gap.
@@ -20,7 +21,7 @@ ACTION_SCALE = np.array([MAX_TRANSLATION] * 3 + [MAX_ROTATION] * 3 + [MAX_WIDTH_
 ACTION_NAMES = ("dx", "dy", "dz", "rx", "ry", "rz", "dw")
 ACTION_ROUNDING = 1e-6  # beyond [-1, 1], for networks in single precision
 
-CONTROL_STAGE = 1.0
+DESIGN_STAGE, CONTROL_STAGE = 0.0, 1.0  # f
 
 # Where the grasp frame may be told to go, in link_base: in front of the arm, above its foot.
 WORKSPACE_LOWER = np.array([0.20, -0.40, 0.0])  # m
@@ -64,6 +65,13 @@ def physical_observations(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
     physical = np.array(vectors, dtype=np.float64)
     physical[..., :8] = physical[..., :8] * OBSERVATION_SCALE + OBSERVATION_ORIGIN
     return physical
+
+
+def design_stage_observation(parameters: int) -> NDArray[np.float32]:
+    """o_D as a network sees it, (8 + parameters,): f = 0 and, as nothing has happened, zeros."""
+    observation = np.zeros(8 + parameters, dtype=np.float32)
+    observation[7] = DESIGN_STAGE
+    return observation
 
 
 @dataclass(frozen=True)
