@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from codesign_cli import demonstrations
+
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
     from codesign_policy.rollout import Extremes, LanePolicy, Rollout
 
 app = typer.Typer(help="Policies in the simulated control stage.", no_args_is_help=True)
+app.command()(demonstrations.demonstrate)
 
 FASTEST = 5.0  # m/s; what lifts tofu at 0.2 m/s has no business being faster
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -33,11 +33,13 @@ class LanePolicy(Protocol):
 class ScriptedLanes:
     """The scripted grasp in every lane."""
 
-    def __init__(self, fingers: list[FingerPair], plan: GraspPlan | None = None) -> None:
-        """Args: the fingers of every lane; settings of the grasp. The table is at height 0."""
+    def __init__(
+        self, fingers: Sequence[FingerPair], plans: Sequence[GraspPlan] | None = None
+    ) -> None:
+        """Args: fingers and settings of the grasp of every lane. The table is at height 0."""
         self._policies = [
             load_policy("scripted", Surroundings(0.0, pair.tip_depth, pair.min_width), plan)
-            for pair in fingers
+            for pair, plan in zip(fingers, plans or [GraspPlan()] * len(fingers), strict=True)
         ]
 
     def restart(self, lanes: NDArray[np.bool_]) -> None:

@@ -1,0 +1,82 @@
+"""`codesign policy demonstrate`: experts' designs in a design space, and a grasp with each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from codesign_policy.demonstrations import Demonstrations
+
+
+def demonstrate(
+    out: Annotated[Path, typer.Option(help="File to write (.npz).")],
+    space: Annotated[str, typer.Option(help="Design space: base mesh and handles.")] = "lip-12",
+    tets: Annotated[int, typer.Option(help="Resolution of the block: 600 or 2400.")] = 600,
+    seed: Annotated[int, typer.Option(min=0, help="Of fits and block.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Demonstrate: fit each expert's finger in a design space, and pick tofu up with it.
+
+    Writes 3 transitions of the design stage and 600 of the control stage, for RLPD. Nothing is
+    written unless every grasp succeeds.
+
+    Exit codes: 0 done, 1 a grasp failed or a fitted finger is unusable, 2 bad input, 3 the
+    simulation failed.
+
+    Example: codesign policy demonstrate --space box-12 --out runs/box-12.npz --json
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from codesign_policy.demonstrations import DemonstrationError
+    from codesign_policy.demonstrations import demonstrate as make
+    from codesign_sim import SimulationError
+
+    try:
+        with Progress(console=Console(stderr=True), transient=True) as progress:
+            task = progress.add_task("", total=1.0)
+
+            def show(what: str, share: float) -> None:
+                progress.update(task, description=what, completed=share)
+
+            made = make(space, tetrahedra=tets, seed=seed, progress=show)
+        made.save(out)
+    except DemonstrationError as error:
+        typer.echo(f"demonstrate: {error}", err=True)
+        raise typer.Exit(1) from None
+    except SimulationError as error:
+        typer.echo(f"demonstrate: {error}", err=True)
+        raise typer.Exit(3) from None
+    except (ValueError, OSError) as error:
+        typer.echo(f"demonstrate: {error}", err=True)
+        raise typer.Exit(2) from None
+    _print(made, out, as_json)
+
+
+def _print(made: Demonstrations, out: Path, as_json: bool) -> None:
+    rows: list[dict[str, Any]] = [
+        {
+            "expert": episode.expert,
+            "top10_stress_pa": episode.top10_stress,
+            "median_stress_pa": episode.median_stress,
+            "gap_mm": 1e3 * episode.width,
+            "gaps_that_hold": episode.gaps_that_hold,
+            "chamfer_mm": 1e3 * episode.chamfer,
+        }
+        for episode in made.episodes
+    ]
+    if as_json:
+        summary = {"space": made.space, "file": str(out), "transitions": len(made.rows)}
+        typer.echo(json.dumps({**summary, "demonstrations": rows}, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*(name.replace("_", " ") for name in rows[0]), title=f"{made.space}: {out}")
+    for row in rows:
+        table.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()))
+    Console().print(table)
