@@ -85,8 +85,14 @@ def test_object_pose_that_is_not_finite_is_no_observation(
 ) -> None:
     arm, _ = moving
     arm.object = (math.nan, 0.0, 0.02)
-    arm.probe.wait_for(lambda: arm.policy_state() == POLICY_FAULT, 2.0, "the policy is silent")
-    assert "not finite" in arm.probe.latest("/policy/status").message
+    arm.probe.wait_for(
+        lambda: (
+            arm.policy_state() == POLICY_FAULT
+            and "not finite" in arm.probe.latest("/policy/status").message
+        ),
+        2.0,
+        "the policy is silent and says why",
+    )
     arm.probe.wait_for(lambda: arm.controller_state() == HALTED, 2.0, "the arm halts")
     for _, action in arm.probe.received["/action"]:
         assert np.isfinite([action.translation.x, action.translation.y, action.width]).all()

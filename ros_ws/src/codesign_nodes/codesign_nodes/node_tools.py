@@ -13,6 +13,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.task import Future
 from rclpy.time import Time
 
 
@@ -35,6 +36,21 @@ class LeanNode(Node):
         """As in Node."""
         kwargs.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
         return super().create_publisher(*args, **kwargs)
+
+    async def sleep(self, duration: float) -> None:
+        """Lets other callbacks run meanwhile [s, steady clock].
+
+        Only for callbacks whose group is reentrant.
+        """
+        future = Future()
+
+        def wake() -> None:
+            if not future.done():
+                future.set_result(None)
+
+        timer = self.create_timer(duration, wake, clock=steady_clock())
+        await future
+        self.destroy_timer(timer)
 
     def mismatched_topics(self) -> list[str]:
         """Subscribed topics none of whose publishers offers the QoS that is asked for."""

@@ -7,6 +7,7 @@ reaches the control loop. Types, type hashes and the offered QoS are stored with
 import importlib
 import queue
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory
 from codesign_interfaces.srv import StartRecording, StopRecording
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -36,6 +38,9 @@ from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, run, stead
 
 DEPTH = 1000  # messages that a subscription may keep while the executor is busy
 QUEUE = 20_000  # messages that may wait for the disk
+MATCH_TIMEOUT = 3.0  # s
+DRAIN_TIMEOUT = 3.0  # s
+QUIET = 0.1  # s without a message from before the stop
 
 
 class TrialRecorder(LeanNode):
@@ -51,8 +56,11 @@ class TrialRecorder(LeanNode):
         self._latched: dict[str, bytes] = {}
         self._unknown: set[str] = set()
         self._bag: BagWriter | None = None
-        self.create_service(StartRecording, "~/start", self._on_start)
-        self.create_service(StopRecording, "~/stop", self._on_stop)
+        self._stop_asked = 0  # ns, system time
+        self._late_at = 0.0  # s, when a message from before that came last
+        waiting = ReentrantCallbackGroup()
+        self.create_service(StartRecording, "~/start", self._on_start, callback_group=waiting)
+        self.create_service(StopRecording, "~/stop", self._on_stop, callback_group=waiting)
         # Topics are subscribed to all the time: a trial's first message must not be lost to
         # discovery.
         self._timer = self.create_timer(0.25, self._discover, clock=steady_clock())
@@ -83,9 +91,11 @@ class TrialRecorder(LeanNode):
             durability=offered.durability,
         )
 
-        def receive(data: bytes) -> None:
+        def receive(data: bytes, info: dict[str, int]) -> None:
             if latched:
                 self._latched[topic] = data
+            if info["source_timestamp"] < self._stop_asked:
+                self._late_at = time.monotonic()
             if self._bag is not None:
                 self._bag.put(topic, self.get_clock().now().nanoseconds, data)
 
@@ -95,9 +105,10 @@ class TrialRecorder(LeanNode):
             offered,
         )
 
-    def _on_start(
+    async def _on_start(
         self, request: StartRecording.Request, response: StartRecording.Response
     ) -> StartRecording.Response:
+        await self._until_matched()
         path = Path(request.uri)
         if self._bag is not None:
             # Asked again for the same bag, because the first answer was lost: all is well.
@@ -108,7 +119,6 @@ class TrialRecorder(LeanNode):
         if path.exists() or not path.name:
             response.message = f"bag {request.uri!r}: exists already, choose a new folder"
             return response
-        self._discover()
         try:
             self._bag = BagWriter(path, self._types, self._topic_info)
         except OSError as error:
@@ -120,13 +130,38 @@ class TrialRecorder(LeanNode):
         response.success, response.message = True, str(path)
         return response
 
+    async def _until_matched(self) -> None:
+        """Returns once every publisher of every topic reaches us: from now on nothing is missed."""
+        patience = MATCH_TIMEOUT
+        while patience > 0.0:
+            self._discover()
+            missing = [
+                topic
+                for topic, (subscription, *_) in self._subscriptions_by_topic.items()
+                if subscription.get_publisher_count() < self.count_publishers(topic)
+            ]
+            if not missing:
+                return
+            await self.sleep(0.05)
+            patience -= 0.05
+        self.get_logger().warning(f"recording without all publishers of {', '.join(missing)}")
+
+    async def _until_drained(self) -> None:
+        """Returns once what was published before now has come in."""
+        self._stop_asked, self._late_at = time.time_ns(), time.monotonic()
+        deadline = self._late_at + DRAIN_TIMEOUT
+        while self._late_at + QUIET > time.monotonic() < deadline:
+            await self.sleep(QUIET / 2)
+        self._stop_asked = 0
+
     def _topic_info(self, topic: str) -> tuple[str, QoSProfile]:
         _, type_name, offered = self._subscriptions_by_topic[topic]
         return type_name, offered
 
-    def _on_stop(
+    async def _on_stop(
         self, _: StopRecording.Request, response: StopRecording.Response
     ) -> StopRecording.Response:
+        await self._until_drained()
         if self._bag is None:
             response.message = "not recording"
             return response

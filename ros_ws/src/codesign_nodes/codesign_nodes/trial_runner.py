@@ -251,7 +251,7 @@ class TrialRunner(LeanNode):
             newest = (max(self._log.stress, default=0), max(self._log.height, default=0))
             if min(newest) >= (self._log.end or 0):
                 return
-            await self._sleep(0.05)
+            await self.sleep(0.05)
 
     async def _finish(self, recording: bool, result: RunTrial.Result) -> None:
         """Stops everything that was started; a failure here must not hide the trial's."""
@@ -261,7 +261,7 @@ class TrialRunner(LeanNode):
         steps.append((self._stop_policy, Trigger.Request()))
         steps.append((self._enable, SetBool.Request(data=False)))
         if recording:
-            await self._sleep(0.2)  # what was just published is on its way to the recorder
+            await self.sleep(0.2)  # what was just published is on its way to the recorder
             steps.append((self._stop_recording, StopRecording.Request()))
         for client, request in steps:
             try:
@@ -278,7 +278,7 @@ class TrialRunner(LeanNode):
             if patience <= 0.0:
                 raise TrialError(f"service {name} is not there after {self._startup_timeout} s")
             patience -= 0.1
-            await self._sleep(0.1)
+            await self.sleep(0.1)
         # A reply is lost when the server has not discovered the client's reader yet: ask twice.
         # Every service called here may be asked again.
         response = await self._ask(client, request) or await self._ask(client, request)
@@ -298,17 +298,6 @@ class TrialRunner(LeanNode):
         response = await future
         self.destroy_timer(timer)
         return response
-
-    async def _sleep(self, duration: float) -> None:
-        future = Future()
-
-        def wake() -> None:
-            if not future.done():
-                future.set_result(None)
-
-        timer = self.create_timer(duration, wake, clock=steady_clock())
-        await future
-        self.destroy_timer(timer)
 
     # --- the judgement
 
