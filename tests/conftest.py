@@ -78,6 +78,15 @@ class Probe:
             time.sleep(0.01)
         return None
 
+    def run(self, function: Callable[[], Any]) -> Any:
+        """What `function` returns when the executor's thread calls it.
+
+        rclpy's action client may miss an answer that arrives while another thread still sends.
+        """
+        task = self._executor.create_task(function)
+        self.wait_for(task.done, 20.0, "the executor's turn")
+        return task.result()
+
     def call(self, name: str, kind: Any, request: Any, timeout: float = 20.0) -> Any:
         """The answer of a service, asked every 5 s.
 
@@ -89,7 +98,7 @@ class Probe:
 
         def answer() -> Any:
             if time.monotonic() - start >= 5.0 * len(asked):
-                asked.append(client.call_async(request))
+                asked.append(self.run(lambda: client.call_async(request)))
             return next((future for future in asked if future.done()), None)
 
         start = time.monotonic()

@@ -194,9 +194,9 @@ def test_move_to_reaches_a_pose_and_refuses_one_outside(arm: FakeArm, graph: Any
         goal.pose.header.frame_id = "link_base"
         goal.pose.pose.position.x, goal.pose.pose.position.z = x, z
         goal.pose.pose.orientation.x, goal.pose.pose.orientation.w = 1.0, 0.0
-        sent = client.send_goal_async(goal)
+        sent = arm.probe.run(lambda: client.send_goal_async(goal))
         arm.probe.wait_for(sent.done, 5.0, "goal taken")
-        result = sent.result().get_result_async()
+        result = arm.probe.run(sent.result().get_result_async)
         arm.probe.wait_for(result.done, 20.0, "goal ended")
         return result.result().result
 
