@@ -53,8 +53,10 @@ class Probe:
 
     def close(self) -> None:
         self._executor.shutdown()
-        self.context.try_shutdown()
         self._thread.join(5.0)
+        # Or its latched messages would reach the next test.
+        self.node.destroy_node()
+        self.context.try_shutdown()
 
     def listen(self, topic: str, kind: Any, qos: Any) -> None:
         """Collects a topic in `received` as (monotonic time, message)."""

@@ -467,6 +467,10 @@ class CartesianController(LeanNode):
                 self._change_fingers()
             response.success, response.message = True, "disabled"
             return response
+        if self._servo.state not in (ServoState.DISABLED, ServoState.FAULT):
+            # Asked again, because the first answer was lost.
+            response.success, response.message = True, "enabled already"
+            return response
         if not await self._fresh_state():
             response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
             return response
@@ -487,6 +491,9 @@ class CartesianController(LeanNode):
     async def _on_reset_fault(
         self, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
+        if self._servo.state is not ServoState.FAULT:
+            response.success, response.message = True, "no fault"
+            return response
         if not await self._fresh_state():
             response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
             return response

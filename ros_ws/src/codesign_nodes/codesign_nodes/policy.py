@@ -188,6 +188,10 @@ class PolicyNode(LeanNode):
     # --- services
 
     async def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._policy is not None and not self._policy.done:
+            # Asked again, because the first answer was lost; ~/stop comes before a new start.
+            response.success, response.message = True, f"{self._name} is running already"
+            return response
         await self._design_or_timeout()
         if self._design is None:
             response.success = False
