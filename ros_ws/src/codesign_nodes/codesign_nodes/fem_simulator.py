@@ -23,6 +23,7 @@ from codesign_interfaces.msg import (
 from codesign_interfaces.srv import ResetSimulation
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -164,7 +165,9 @@ class FemSimulator(LeanNode):
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
         self._reset_service: Any = None
         self.create_service(Trigger, "~/pause", self._on_pause)
-        self.create_service(Trigger, "~/resume", self._on_resume)
+        self.create_service(
+            Trigger, "~/resume", self._on_resume, callback_group=ReentrantCallbackGroup()
+        )
 
     def _offer_reset(self) -> None:
         """A trial begins with a reset, so none begins before the fingers are known."""
@@ -424,7 +427,8 @@ class FemSimulator(LeanNode):
         response.success = True
         return response
 
-    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    async def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        await self.until_heard()
         self._paused = False
         response.success = not self._error
         response.message = self._error

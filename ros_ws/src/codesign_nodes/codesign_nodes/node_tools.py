@@ -52,6 +52,18 @@ class LeanNode(Node):
         await future
         self.destroy_timer(timer)
 
+    async def until_heard(self, patience: float = 3.0) -> None:
+        """Returns once every known subscription gets what is published here, or after `patience`.
+
+        A reader can know a writer before the writer knows it; until then it misses messages.
+        """
+        while patience > 0.0 and any(
+            publisher.get_subscription_count() < self.count_subscribers(publisher.topic_name)
+            for publisher in self.publishers
+        ):
+            await self.sleep(0.05)
+            patience -= 0.05
+
     def mismatched_topics(self) -> list[str]:
         """Subscribed topics none of whose publishers offers the QoS that is asked for."""
         found = []
