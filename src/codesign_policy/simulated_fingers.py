@@ -7,9 +7,10 @@ the lip, rounded undersides too: what the lip reaches is then above it. The real
 """
 
 import numpy as np
-from manifold3d import CrossSection, Manifold, Mesh64, OpType
+from manifold3d import CrossSection, Manifold, OpType
 
 from codesign_design.finger_pair import FingerPair, TriangleMesh
+from codesign_design.solid import MM, to_solid, to_surface
 from codesign_policy.finger_plan import LEAST_LIP, front_view
 from codesign_sim import SurfaceMesh
 
@@ -42,13 +43,10 @@ def with_sole(mesh: TriangleMesh) -> SurfaceMesh:
     Raises:
         ValueError: the mesh encloses no solid.
     """
-    solid = Manifold(Mesh64(mesh.vertices * 1e3, mesh.faces.astype(np.uint64)))
-    if solid.is_empty():
-        raise ValueError(f"finger mesh encloses no solid: {solid.status()}; repair it first")
+    solid = to_solid(mesh)
     united = Manifold.batch_boolean([solid, *_fillings(solid)], OpType.Add)
-    surface = united.simplify(_CLEANED).to_mesh64()
-    vertices = np.asarray(surface.vert_properties[:, :3], dtype=np.float64) / 1e3
-    return SurfaceMesh(vertices, np.asarray(surface.tri_verts, dtype=np.int32))
+    surface = to_surface(united.simplify(_CLEANED))
+    return SurfaceMesh(surface.vertices, surface.faces)
 
 
 def _fillings(solid: Manifold) -> list[Manifold]:
@@ -57,6 +55,6 @@ def _fillings(solid: Manifold) -> list[Manifold]:
     for cut in _CUTS:
         outline = solid.slice(tip - cut)
         if (outline - covered).area() > _NEW_AREA:
-            found.append(outline.extrude(SOLE * 1e3 + cut).translate((0.0, 0.0, tip - cut)))
+            found.append(outline.extrude(SOLE * MM + cut).translate((0.0, 0.0, tip - cut)))
             covered += outline
     return found

@@ -613,9 +613,3 @@ def _pairs(left, right, environments: int) -> Sequence[Fingers | None]:
             )
         sides.append(meshes)
     return list(zip(*sides, strict=True))
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation).as_quat()

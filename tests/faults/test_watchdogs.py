@@ -121,6 +121,25 @@ def test_lost_joint_states_are_a_fault_that_is_reset_explicitly(
     arm.probe.wait_for(lambda: arm.controller_state() in (READY, MOVING), 2.0, "ready")
 
 
+def test_what_is_asked_again_changes_nothing(moving: tuple[FakeArm, dict[str, Any]]) -> None:
+    """As after an answer that was lost on its way."""
+    from std_srvs.srv import Trigger
+
+    arm, _ = moving
+    before = arm.probe.latest("/policy/status").sequence
+    assert before > 0
+    arm.enable()
+    arm.start_policy()
+    answer = arm.probe.call("/cartesian_controller/reset_fault", Trigger, Trigger.Request())
+    assert answer.success, answer.message
+    arm.probe.wait_for(
+        lambda: arm.probe.latest("/policy/status").sequence > before, 2.0, "the policy goes on"
+    )
+    sequences = [m.sequence for _, m in arm.probe.received["/action"]]
+    assert sequences == sorted(set(sequences))
+    assert arm.controller_state() == MOVING
+
+
 def test_joint_state_that_is_not_finite_is_a_fault(
     moving: tuple[FakeArm, dict[str, Any]],
 ) -> None:

@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from codesign_bringup.bringup import Graph, executable, load_profile
 from rosbags.highlevel import AnyReader
 
+from codesign_policy.domain import BLOCK_SIZE
 from tests.conftest import Probe
 
 SEED = 3
@@ -92,6 +94,22 @@ def test_a_trial_runs_with_fingers_made_on_request(
     assert {m.content_hash for m in recorded(bag, "/finger_design")} == {fingers.content_hash}
     closed = min(m.width for m in recorded(bag, "/gripper_state"))
     assert closed == pytest.approx(plan_for(fingers).width, abs=2e-4)
+    if name == "box":
+        keeps_the_bounds_of_side_grasps(recorded(bag, "/stress"), trial["domain"])
+
+
+def keeps_the_bounds_of_side_grasps(stress: list[Any], domain: dict[str, float]) -> None:
+    """What `codesign sim validate` asks of flat pads: friction needs a normal force of m g / 2 mu
+    at least, and that a mean stress of rho g d / 2 mu."""
+    weight = domain["density"] * float(np.prod(BLOCK_SIZE)) * 9.81
+    held = [
+        m for m in stress if m.left_force.z + m.right_force.z == pytest.approx(weight, rel=0.02)
+    ]
+    assert len(held) > 15
+    normal = np.mean([abs(m.left_force.y) for m in held])
+    assert normal > weight / (2 * domain["friction"])
+    least = domain["density"] * 9.81 * BLOCK_SIZE[1] / (2 * domain["friction"])
+    assert np.mean([m.mean for m in held]) > least
 
 
 def test_fingers_that_come_in_the_middle_of_a_trial_wait_for_the_next(running: Probe) -> None:

@@ -12,6 +12,7 @@ import pytest
 from codesign_bringup.bringup import executable
 from rosbags.highlevel import AnyReader
 
+from codesign_control.config import ServoConfig
 from codesign_report import read_trial, trial_metrics
 from codesign_report.timing import graph_timing
 
@@ -96,7 +97,7 @@ def _by_time(bag: Path) -> dict[str, dict[int, bytes]]:
     found = messages(bag, set(REPEATED))
 
     def tick(message: Any) -> int:
-        return message.header.stamp.sec * 100 + message.header.stamp.nanosec // 10**7
+        return nanoseconds(message.header.stamp) // 10**7
 
     start = tick(found["/action"][0])
     return {
@@ -171,8 +172,7 @@ def test_every_stamp_of_the_trial_is_recorded(
     found = messages(Path(lockstep[0][1]["bag"]), {"/joint_command", "/action"})
     sequences = [m.sequence for m in found["/action"]]
     assert sequences == list(range(1, len(sequences) + 1))
-    stamps = {m.header.stamp.sec * 100 + m.header.stamp.nanosec // 10**7
-              for m in found["/joint_command"]}  # fmt: skip
+    stamps = {nanoseconds(m.header.stamp) // 10**7 for m in found["/joint_command"]}
     assert sorted(stamps) == list(range(min(stamps), max(stamps) + 1))
 
 
@@ -181,18 +181,37 @@ def test_at_real_time_the_graph_keeps_its_rates(tmp_path: Path) -> None:
     (trial,) = run_trials(tmp_path, verdict_counts=False)
     bag = Path(trial["bag"])
     assert asdict(trial_metrics(bag)) == pytest.approx(trial["metrics"], rel=0, abs=0, nan_ok=True)
-    timing = graph_timing(bag)
-    found = messages(bag, {"/action", "/cartesian_controller/status"})
-    status = found["/cartesian_controller/status"][-1]
-    assert status.actions_rejected == 0
+    found = messages(
+        bag, {"/action", "/cartesian_controller/status", "/joint_command", "/joint_states"}
+    )
+    last = found["/cartesian_controller/status"][-1]
     sent = len(found["/action"])
     assert found["/action"][-1].sequence == sent
-    assert status.actions_accepted >= sent - 2  # the last status may be older than the last action
+    # The last status may be older than the last action.
+    assert last.actions_accepted + last.actions_rejected >= sent - 2
+    if last.actions_rejected:
+        rejected_for_a_real_gap(found)
+    timing = graph_timing(bag)
     assert np.median(timing.policy_period) == pytest.approx(50.0, abs=2.0)
-    assert np.mean(timing.controller_period) == pytest.approx(10.0, abs=1.0)
-    assert np.mean(timing.state_period) == pytest.approx(10.0, abs=1.5)
+    assert np.median(timing.controller_period) == pytest.approx(10.0, abs=0.5)
+    assert np.median(timing.state_period) == pytest.approx(10.0, abs=1.0)
     # Set-points are meant for moments on an even grid, whenever they were sent.
-    moments = [m.valid_at for m in messages(bag, {"/joint_command"})["/joint_command"]]
-    grid = np.diff([m.sec * 10**9 + m.nanosec for m in moments]) / 1e7
+    grid = np.diff([nanoseconds(m.valid_at) for m in found["/joint_command"]]) / 1e7
     np.testing.assert_allclose(grid, np.round(grid), atol=1e-3)
     assert np.median(grid) == 1.0
+
+
+def rejected_for_a_real_gap(found: dict[str, list[Any]]) -> None:
+    """Good actions are rejected only in a fault, and nothing but a machine that held up the
+    simulator or the controller for longer than the watchdog waits may have been its cause."""
+    faults = [s for s in found["/cartesian_controller/status"] if s.state == s.FAULT]
+    assert {s.message.split(" for ")[0] for s in faults} == {"no measured posture"}
+    silences = [
+        np.diff([nanoseconds(m.header.stamp) for m in found[topic]]).max() * 1e-9
+        for topic in ("/joint_states", "/joint_command")
+    ]
+    assert max(silences) > 0.75 * ServoConfig().measurement_timeout
+
+
+def nanoseconds(stamp: Any) -> int:
+    return stamp.sec * 10**9 + stamp.nanosec

@@ -4,7 +4,6 @@ With a simulator in the graph the object and the arm are reset through it; witho
 moves to its start posture and a person puts the object there.
 """
 
-import contextlib
 import math
 import time
 from dataclasses import dataclass, field
@@ -208,16 +207,12 @@ class TrialRunner(LeanNode):
                 seed=request.seed, domain=request.domain, paused=self._lockstep
             )
             domain = (await self._call(self._reset, reset)).domain
-            await self._clear_fault()
+            # A simulated arm needs no person to look at it before it goes on.
+            await self._call(self._reset_fault, Trigger.Request())
         await self._call(self._enable, SetBool.Request(data=True))
         if not self._simulated:
             await self._go_home()
         return domain
-
-    async def _clear_fault(self) -> None:
-        """A simulated arm needs no person to look at it before it goes on."""
-        with contextlib.suppress(TrialError):  # no fault: nothing to reset
-            await self._call(self._reset_fault, Trigger.Request())
 
     async def _go_home(self) -> None:
         if not self._move_to.wait_for_server(self._service_timeout):
@@ -280,7 +275,7 @@ class TrialRunner(LeanNode):
             patience -= 0.1
             await self.sleep(0.1)
         # A reply is lost when the server has not discovered the client's reader yet: ask twice.
-        # Every service called here may be asked again.
+        # Every service called here may be asked again; a recorder that has stopped says so.
         response = await self._ask(client, request) or await self._ask(client, request)
         if response is None:
             raise TrialError(
