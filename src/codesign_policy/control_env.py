@@ -32,6 +32,7 @@ from codesign_policy.reward import RewardComponents, RewardWeights, reward_compo
 from codesign_policy.simulated_fingers import lip, simulated_fingers
 from codesign_policy.task import (
     CONTROL_STAGE,
+    EPISODE_STEPS,
     POLICY_PERIOD,
     normalised_observations,
     scaled_actions,
@@ -42,7 +43,6 @@ from codesign_sim.material import stable_time_step
 from codesign_sim.rest import RestShapes
 from codesign_sim.simulator import CONTACT_STIFFNESS, SAFETY, STIFFNESS_DAMPING
 
-EPISODE_STEPS = 200  # 10 s
 LAG = 0.08  # s: the servo's three lags of 20 ms and the simulated arm's two of 10 ms
 MIN_GAP = 0.010  # m
 TABLE_HEIGHT = 0.0  # m, in link_base

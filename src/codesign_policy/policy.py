@@ -1,11 +1,17 @@
 """What every policy offers, scripted or learned, and how one is loaded by its name."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
+from codesign_design.finger_pair import FingerPair
+from codesign_policy.learned import LearnedGrasp
+from codesign_policy.policy_file import TrainedPair, load_pair
 from codesign_policy.scripted import GraspPlan, ScriptedGrasp
+from codesign_policy.shipped import checkpoint_names, checkpoint_path
 from codesign_policy.task import ControlAction, Observation
+
+SCRIPTED = "scripted"
 
 
 @dataclass(frozen=True)
@@ -14,13 +20,11 @@ class Surroundings:
 
     Attributes:
         table_height: z of the table in link_base [m].
-        tip_depth: how far the finger tips reach beyond the tool centre point [m].
-        min_width: smallest gap of the fingers in use [m].
+        fingers: the pair in use.
     """
 
     table_height: float
-    tip_depth: float
-    min_width: float
+    fingers: FingerPair
 
 
 class Policy(Protocol):
@@ -41,31 +45,45 @@ class Policy(Protocol):
         """True once it has nothing more to do; it may still be asked to act."""
 
 
-def _scripted(around: Surroundings, plan: GraspPlan) -> Policy:
-    return ScriptedGrasp(
-        plan, around.table_height, tip_depth=around.tip_depth, min_width=around.min_width
-    )
-
-
-_POLICIES: dict[str, Callable[[Surroundings, GraspPlan], Policy]] = {"scripted": _scripted}
-
-
 def policy_names() -> list[str]:
-    """Names that `load_policy` knows."""
-    return sorted(_POLICIES)
+    """Names that `load_policy` knows; it also takes the path of a checkpoint."""
+    return [SCRIPTED, *checkpoint_names()]
+
+
+def trained_pair(name: str) -> TrainedPair | None:
+    """The pair of a checkpoint's name or path; None for the scripted grasp, which has none.
+
+    Raises:
+        ValueError: unknown name, or a file that cannot be used.
+    """
+    if name == SCRIPTED:
+        return None
+    if name not in policy_names() and not Path(name).exists():
+        raise ValueError(
+            f"policy {name!r}: unknown; there are {', '.join(policy_names())}; or give the path of "
+            "a checkpoint"
+        )
+    return load_pair(checkpoint_path(name))
 
 
 def load_policy(name: str, around: Surroundings, plan: GraspPlan | None = None) -> Policy:
     """Makes the policy of that name.
 
     Args:
-        name: one of `policy_names()`.
+        name: one of `policy_names()`, or the path of a checkpoint.
         around: table and fingers.
         plan: settings of the scripted grasp.
 
     Raises:
-        ValueError: unknown name.
+        ValueError: unknown name, a file that cannot be used, or fingers that it is not for.
     """
-    if name not in _POLICIES:
-        raise ValueError(f"policy {name!r}: unknown; there are {', '.join(policy_names())}")
-    return _POLICIES[name](around, plan or GraspPlan())
+    pair = trained_pair(name)
+    if pair is not None:
+        return LearnedGrasp(pair, around.fingers)
+    fingers = around.fingers
+    return ScriptedGrasp(
+        plan or GraspPlan(),
+        around.table_height,
+        tip_depth=fingers.tip_depth,
+        min_width=fingers.min_width,
+    )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codesign_policy.files import replacing
+from codesign_policy.task import TASK_VERSION
 
 VERSION = 1
 
@@ -25,13 +26,19 @@ class TrainedPair:
         weights: of each layer, (in, out).
         biases: of each layer, (out,); the last layer answers means and log spreads.
         design: (D,) in [-1, 1]; empty where the fingers were given.
-        about: where it comes from, plain values.
+        about: where it comes from, plain values; "space" names the design space of its fingers,
+            empty or missing for the stock fingers.
     """
 
     weights: tuple[NDArray[np.float32], ...]
     biases: tuple[NDArray[np.float32], ...]
     design: NDArray[np.float32]
     about: dict[str, Any]
+
+    @property
+    def space(self) -> str:
+        """Design space of its fingers; empty for the stock fingers."""
+        return str(self.about.get("space", ""))
 
     @property
     def observation_size(self) -> int:
@@ -56,7 +63,8 @@ class TrainedPair:
         count = range(len(self.weights))
         arrays: dict[str, NDArray[Any]] = {f"weight_{k}": self.weights[k] for k in count}
         arrays |= {f"bias_{k}": self.biases[k] for k in count}
-        about = json.dumps({**self.about, "version": VERSION, "layers": len(self.weights)})
+        versions = {"version": VERSION, "task_version": TASK_VERSION}
+        about = json.dumps({**self.about, **versions, "layers": len(self.weights)})
         arrays |= {"design": self.design, "about": np.array(about)}
         with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
@@ -66,7 +74,8 @@ def load_pair(path: Path) -> TrainedPair:
     """Reads a trained pair.
 
     Raises:
-        ValueError: no such file, a damaged one, another version, or layers that do not fit.
+        ValueError: no such file, a damaged one, another version of file or task, or layers that
+            do not fit.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -79,8 +88,12 @@ def load_pair(path: Path) -> TrainedPair:
         raise ValueError(
             f"{path}: not a trained pair ({error}); name a file that an export has written"
         ) from error
-    if about.pop("version") != VERSION:
-        raise ValueError(f"{path}: of another version than {VERSION}; export it anew")
+    for name, ours in (("version", VERSION), ("task_version", TASK_VERSION)):
+        theirs = about.pop(name, None)
+        if theirs != ours:
+            raise ValueError(
+                f"{path}: {name} is {theirs}, this program's is {ours}; train and export it anew"
+            )
     _check(path, weights, biases, design)
     return TrainedPair(weights, biases, design, about)
 

@@ -38,7 +38,7 @@ class ScriptedLanes:
     ) -> None:
         """Args: fingers and settings of the grasp of every lane. The table is at height 0."""
         self._policies = [
-            load_policy("scripted", Surroundings(0.0, pair.tip_depth, pair.min_width), plan)
+            load_policy("scripted", Surroundings(0.0, pair), plan)
             for pair, plan in zip(fingers, plans or [GraspPlan()] * len(fingers), strict=True)
         ]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 TASK_VERSION = 1  # of observation, action and reward components: stored transitions name it
 POLICY_PERIOD = 0.05  # s, 20 Hz
+EPISODE_STEPS = 200  # 10 s
 
 # Largest change in one policy period: 0.14 m/s and 0.5 rad/s along each axis, 0.1 m/s of the gap.
 # Within what the controller accepts in one action (0.25 m/s, 1 rad/s).

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codesign_policy import policy_file
 from codesign_policy.policy_file import load_pair
 from codesign_policy.presets import FAST, PUBLISHED, Preset
 from codesign_policy.replay import Spaces
@@ -40,6 +41,14 @@ def test_the_saved_pair_keeps_its_weights_while_the_agent_learns() -> None:
     for parameter in agent.actors["control"].parameters():
         parameter.data += 1.0
     np.testing.assert_array_equal(pair.act(np.ones((1, 29))), before)
+
+
+def test_a_pair_of_another_task_is_refused(tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "pair.npz"
+    Agent(SPACES, FAST, 0).pair(np.zeros(21), {}).save(path)
+    monkeypatch.setattr(policy_file, "TASK_VERSION", 99)
+    with pytest.raises(ValueError, match=r"task_version is \d+, this program's is 99"):
+        load_pair(path)
 
 
 def test_unreadable_files_are_refused(tmp_path: Path) -> None:
