@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def demonstrate(
-    out: Annotated[Path, typer.Option(help="File to write (.npz).")],
+    out: Annotated[Path, typer.Option(help="Folder to write: a Minari dataset.")],
     space: Annotated[str, typer.Option(help="Design space: base mesh and handles.")] = "lip-12",
     tets: Annotated[int, typer.Option(help="Resolution of the block: 600 or 2400.")] = 600,
     seed: Annotated[int, typer.Option(min=0, help="Of fits and block.")] = 0,
@@ -27,13 +28,13 @@ def demonstrate(
     Exit codes: 0 done, 1 a grasp failed or a fitted finger is unusable, 2 bad input, 3 the
     simulation failed.
 
-    Example: codesign policy demonstrate --space box-12 --out runs/box-12.npz --json
+    Example: codesign policy demonstrate --space box-12 --out runs/box-12 --json
     """
     from rich.console import Console
     from rich.progress import Progress
 
-    from codesign_policy.demonstrations import DemonstrationError
-    from codesign_policy.demonstrations import demonstrate as make
+    from codesign_policy.expert_demonstrations import DemonstrationError
+    from codesign_policy.expert_demonstrations import demonstrate as make
     from codesign_sim import SimulationError
 
     try:
@@ -44,7 +45,8 @@ def demonstrate(
                 progress.update(task, description=what, completed=share)
 
             made = make(space, tetrahedra=tets, seed=seed, progress=show)
-        made.save(out)
+        command = f"codesign policy demonstrate --space {space} --tets {tets} --seed {seed}"
+        replace(made, made_by=command).save(out)
     except DemonstrationError as error:
         typer.echo(f"demonstrate: {error}", err=True)
         raise typer.Exit(1) from None
@@ -70,7 +72,7 @@ def _print(made: Demonstrations, out: Path, as_json: bool) -> None:
         for episode in made.episodes
     ]
     if as_json:
-        summary = {"space": made.space, "file": str(out), "transitions": len(made.rows)}
+        summary = {"space": made.space, "folder": str(out), "transitions": len(made.rows)}
         typer.echo(json.dumps({**summary, "demonstrations": rows}, indent=2))
         return
     from rich.console import Console

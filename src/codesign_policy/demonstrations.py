@@ -1,53 +1,36 @@
-"""Demonstrations: for each expert finger its inverse design and one grasp that succeeds.
+"""Demonstrations of a design space as a Minari dataset: a design, and a grasp with its fingers.
 
-A file (.npz, arrays only, read without running code) holds the rows of a `ReplayBuffer` and, as
-JSON, where they come from: 3 rows of the design stage and 600 of the control stage.
+One episode is one design step followed by control steps; docs/demonstrations.md describes what is
+stored. Reading a dataset runs none of its content as code.
 """
 
 from __future__ import annotations
 
-import json
-import zipfile
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import minari
 import numpy as np
+from gymnasium.spaces import Box
+from minari.data_collector import EpisodeBuffer
+from minari.dataset.minari_storage import MinariStorage
 from numpy.typing import NDArray
 
-from codesign_design.design_space import design_space
-from codesign_design.experts import SCOOP_TIP, expert_surface
-from codesign_design.inverse import FitOptions, fit
-from codesign_policy.codesign_env import COMPONENTS, CodesignEnv, built_design
-from codesign_policy.control_env import ControlConfig
-from codesign_policy.domain import draw_domain
-from codesign_policy.files import replacing
-from codesign_policy.finger_plan import LEAST_LIP, plan_for
+from codesign_design.design_space import DesignSpace, design_space
+from codesign_policy.codesign_env import COMPONENTS, reward_weights
+from codesign_policy.files import replacing_folder
 from codesign_policy.lanes import observation_space
-from codesign_policy.replay import FIELDS, ReplayBuffer, Spaces, Transitions
-from codesign_policy.rollout import ScriptedLanes
-from codesign_policy.rounds import Episodes, Played, play_round
-from codesign_policy.scripted import GraspPlan
-from codesign_policy.simulated_fingers import lip
-from codesign_policy.task import TASK_VERSION
+from codesign_policy.replay import ReplayBuffer, Spaces, Transitions
+from codesign_policy.task import CONTROL_STAGE, TASK_VERSION, design_stage_observation
 
-EXPERTS = ("flat_pad", "cupped_pad", "scoop")
-# Of an expert's outline, fits mind these places most, (2, 3) corners [m]: the scoop's lip.
-REGIONS = {"scoop": np.array([[-0.035, -0.001, SCOOP_TIP - 0.004], [0.035, 0.012, SCOOP_TIP]])}
-RESTARTS = 24  # of a fit
-GAPS = 16  # that are tried
-PAD_STEP, LIP_STEP = 2.5e-4, 1e-3  # m, between them: lips hold in a much wider range than pads
-TIGHTER = {PAD_STEP: 8, LIP_STEP: 2}  # steps from the planned gap to the first one
-SETTLE_TIME = 0.4  # s; with the script's 0.8 s slow closing would not leave 1 s to hold
-METRICS = ("success", "top10_stress", "median_stress")
+SHIPPED = Path(__file__).with_name("demonstration_data")  # a folder of datasets as Minari has it
+EXPERTS_VERSION = 0  # of the shipped datasets
+METADATA = "metadata.json"  # in every Minari dataset
+ABOUT = "codesign"  # our part of its metadata
 
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share of all work that is done, 0 to 1."""
-
-
-class DemonstrationError(RuntimeError):
-    """An expert's inverse design makes no fingers, or they do not pick the block up."""
+Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -55,21 +38,21 @@ class Demonstration:
     """What one demonstration is; every one of them succeeds.
 
     Attributes:
-        expert: whose finger.
-        parameters: of its inverse design, (D,) in [-1, 1].
-        chamfer: distance of the inverse design to the expert's surface [m].
+        expert: whose finger, or the label of a recorded trial.
+        parameters: of its design, (D,) in [-1, 1].
         width: gap that the grasp closes to [m].
         top10_stress, median_stress: means over the interaction period [Pa].
-        gaps_that_hold: of the `GAPS` tried around the planned one, how many succeeded.
+        chamfer: distance of a fitted design to the expert's surface [m].
+        gaps_that_hold: of those tried around the planned one, how many succeeded.
     """
 
     expert: str
     parameters: tuple[float, ...]
-    chamfer: float
     width: float
     top10_stress: float
     median_stress: float
-    gaps_that_hold: int
+    chamfer: float | None = None
+    gaps_that_hold: int | None = None
 
 
 @dataclass(frozen=True)
@@ -79,206 +62,201 @@ class Demonstrations:
     Attributes:
         space: name of the design space.
         episodes: what they are.
-        rows: transitions of both stages with `COMPONENTS`.
+        rows: transitions of both stages with `COMPONENTS`, one episode after the other: its design
+            step, then its control steps.
+        made_by: the command that made them.
     """
 
     space: str
     episodes: tuple[Demonstration, ...]
     rows: ReplayBuffer
+    made_by: str = ""
 
     @property
     def designs(self) -> NDArray[np.float64]:
         """The demonstrated designs, (n, D)."""
         return np.array([episode.parameters for episode in self.episodes])
 
-    def save(self, path: Path) -> None:
-        """Writes them to `path` (.npz), over what was there, in one go."""
-        about = {
-            "task_version": TASK_VERSION,
-            "space": self.space,
-            "cage_version": design_space(self.space).version,
-            "components": list(self.rows.components),
-            "episodes": [asdict(episode) for episode in self.episodes],
-        }
-        arrays = {name: getattr(self.rows.rows, name) for name in FIELDS}
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+    def transitions(self) -> Iterator[Transitions]:
+        """The rows of each episode."""
+        rows = self.rows.rows
+        starts = np.flatnonzero(~rows.in_control)
+        for start, stop in zip(starts, [*starts[1:], len(rows.in_control)], strict=True):
+            yield rows.pick(slice(start, stop))
+
+    def save(self, folder: Path, name: str = "experts-v0") -> None:
+        """Writes a Minari dataset, over one that was there, in one go.
+
+        Args:
+            folder: holds the dataset afterwards: `minari.MinariDataset(folder)` opens it.
+            name: last part of its id, `codesign/<space>/<name>`.
+
+        Raises:
+            ValueError: there is something else in the folder.
+        """
+        spaces = self.rows.spaces
+        with replacing_folder(folder, METADATA) as temporary:
+            storage = MinariStorage.new(
+                temporary.resolve(),  # it loses its way in relative ones
+                observation_space(spaces.observation),
+                Box(-1.0, 1.0, (spaces.action,), np.float32),
+                data_format="parquet",
+            )
+            storage.update_metadata(
+                {
+                    "dataset_id": f"codesign/{self.space}/{name}",
+                    "minari_version": minari.__version__,
+                    "description": "Fingers shaped in a design space, and tofu picked up with them",
+                    ABOUT: _about(design_space(self.space))
+                    | {"weights": reward_weights(), "made_by": self.made_by},
+                }
+            )
+            storage.update_episodes([_buffer(rows) for rows in self.transitions()])
+            storage.update_episode_metadata([asdict(episode) for episode in self.episodes])
 
 
-def load_demonstrations(path: Path) -> Demonstrations:
-    """Reads and checks demonstrations.
+def demonstrations_path(name: str | Path) -> Path:
+    """The folder of the shipped dataset of a design space, or else `name` as a folder.
+
+    Example: load_demonstrations(demonstrations_path("lip-12"))
+    """
+    shipped = SHIPPED / "codesign" / name / f"experts-v{EXPERTS_VERSION}" / "data"
+    return shipped if (shipped / METADATA).is_file() else Path(name)
+
+
+def load_demonstrations(folder: Path) -> Demonstrations:
+    """Reads and checks a dataset.
 
     Raises:
-        ValueError: no such file, a damaged one, another version of task or cage, other reward
-            components, wrong shapes or types, or numbers that are not finite or out of range.
+        ValueError: no dataset of ours, a damaged one, another version of task or cage, other
+            reward components, wrong shapes, stages or types, or numbers that are not finite or
+            out of range.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            about: dict[str, Any] = json.loads(str(file["about"]))
-            state = {name: file[name] for name in FIELDS}
-        episodes = tuple(
-            Demonstration(**{**each, "parameters": tuple(each["parameters"])})
-            for each in about["episodes"]
-        )
+        dataset = minari.MinariDataset(folder)
+        about = dataset.storage.metadata[ABOUT]
         space = design_space(about["space"])
-        mine = {
-            "task_version": TASK_VERSION,
-            "cage_version": space.version,
-            "components": list(COMPONENTS),
-        }
-        wrong = [name for name, value in mine.items() if about[name] != value]
-    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(
-            f"{path}: not demonstrations ({error}); make them with `codesign policy demonstrate`"
-        ) from error
+        wrong = [(name, value) for name, value in _about(space).items() if about[name] != value]
+    except (OSError, KeyError, ValueError, TypeError, AssertionError) as error:
+        raise _unreadable(folder, error) from error
     if wrong:
+        name, mine = wrong[0]
         raise ValueError(
-            f"{path}: {wrong[0]} is {about[wrong[0]]}, this program's is {mine[wrong[0]]}; make "
-            "them anew with `codesign policy demonstrate`"
+            f"{folder}: {name} is {about[name]}, this program's is {mine}; make them anew with "
+            "`codesign policy demonstrate`"
         )
-    rows = _buffer(space.name, len(state["in_control"]))
     try:
-        rows.insert(Transitions(**state))
-        _check_observations(rows)
-        designs = np.array([episode.parameters for episode in episodes], np.float32)
-        if not np.array_equal(rows.designs, designs):
-            raise ValueError(
-                f"{len(designs)} episodes for {len(rows.designs)} designs, or other designs"
-            )
+        data = list(dataset.iterate_episodes())
+        described = dataset.storage.get_episode_metadata(dataset.episode_indices.tolist())
+        episodes = tuple(_described(each) for each in described)
+        if len(data) != len(episodes):
+            raise ValueError(f"steps of {len(data)} episodes, {len(episodes)} are announced")
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise _unreadable(folder, error) from error
+    try:
+        rows = empty_rows(space.name, sum(len(each.rewards) for each in data))
+        for number, (each, episode) in enumerate(zip(data, episodes, strict=True)):
+            try:
+                transitions = _transitions(each, episode, space)
+                rows.insert(transitions)
+                _require_rewards(transitions, each.rewards, about["weights"])
+            except (ValueError, KeyError) as error:
+                raise ValueError(f"episode {number}: {error}") from error
     except ValueError as error:
-        raise ValueError(f"{path}: {error}; make it anew") from error
-    return Demonstrations(space.name, episodes, rows)
+        raise ValueError(f"{folder}: {error}; make it anew") from error
+    return Demonstrations(space.name, episodes, rows, about.get("made_by", ""))
 
 
-def _check_observations(buffer: ReplayBuffer) -> None:
-    box = observation_space(buffer.spaces.observation)
-    for name in ("observation", "next_observation"):
-        values = getattr(buffer.rows, name)
-        outside = np.argwhere((values < box.low) | (values > box.high))
-        if len(outside):
-            row, column = (int(i) for i in outside[0])
-            raise ValueError(
-                f"{name}[{row}, {column}] is {values[row, column]}: it must be within "
-                f"{box.low[column]}..{box.high[column]}"
-            )
-
-
-def _buffer(space: str, capacity: int) -> ReplayBuffer:
+def empty_rows(space: str, capacity: int) -> ReplayBuffer:
+    """For the transitions of both stages in a design space."""
     design = design_space(space).parameter_count
     return ReplayBuffer(Spaces(8 + design, design, 7), COMPONENTS, capacity)
 
 
-# ------------------------------------------------------------------- making them
+def _about(space: DesignSpace) -> dict[str, Any]:
+    """What data must agree on with the program that reads them."""
+    return {
+        "task_version": TASK_VERSION,
+        "space": space.name,
+        "cage_version": space.version,
+        "components": list(COMPONENTS),
+    }
 
 
-def demonstrate(
-    space: str,
-    experts: Sequence[str] = EXPERTS,
-    tetrahedra: int = 600,
-    seed: int = 0,
-    progress: Progress = lambda what, share: None,
-) -> Demonstrations:
-    """Fits every expert's finger in the space, finds its best gap and records one grasp of each.
-
-    The grasp is the scripted one that suits the fitted finger; of `GAPS` around the planned one it
-    closes to that with the least top-10 % stress among those that succeed, as do a step tighter
-    and a step wider.
-
-    Args:
-        space: name of the design space.
-        experts: names of experts.
-        tetrahedra: resolution of the block.
-        seed: of the fits and of the block.
-        progress: told how far it is.
-
-    Raises:
-        ValueError: unknown space or expert.
-        DemonstrationError: a fitted finger cannot be used, or a grasp does not succeed.
-    """
-
-    def part(what: str, number: int) -> Callable[[float], None]:
-        return lambda share: progress(what, (number + share) / (2 * len(experts) + 1))
-
-    config = ControlConfig(tetrahedra=tetrahedra, domain=draw_domain(seed))
-    sweep = CodesignEnv(space, GAPS, config=config)
-    fits, plans, holding = [], [], []
-    for k, name in enumerate(experts):
-        fits.append(_fitted(space, name, seed, part(f"fitting {name}", 2 * k)))
-        part(f"grasping with {name}", 2 * k + 1)(0.0)
-        plan, gaps = _best_plan(sweep, name, fits[-1][0], seed)
-        plans.append(plan)
-        holding.append(gaps)
-    part("recording", 2 * len(experts))(0.0)
-    rows = _buffer(space, len(experts) * (1 + config.episode_steps))
-    env = CodesignEnv(space, len(experts), config=config)
-    played = _play(env, np.array([parameters for parameters, _ in fits]), plans, seed, rows)
-    metrics = played.metrics
-    for k, name in enumerate(experts):
-        if not metrics["success"][k]:
-            raise DemonstrationError(f"{name} in {space}: the recorded grasp failed")
-    episodes = tuple(
-        Demonstration(
-            expert=name,
-            parameters=tuple(fits[k][0].tolist()),
-            chamfer=fits[k][1],
-            width=plans[k].width,
-            top10_stress=float(metrics["top10_stress"][k]),
-            median_stress=float(metrics["median_stress"][k]),
-            gaps_that_hold=holding[k],
-        )
-        for k, name in enumerate(experts)
+def _buffer(rows: Transitions) -> EpisodeBuffer:
+    """One episode; as in Gymnasium, what a step's info says stands beside its next observation."""
+    observations = np.concatenate([rows.observation, rows.next_observation[-1:]])
+    before = np.zeros((1, rows.components.shape[1]), np.float32)
+    components = np.concatenate([before, rows.components])
+    infos = {
+        f"reward_{name}": list(values)  # of numbers: one-dimensional arrays cannot be read back
+        for name, values in zip(COMPONENTS, components.T, strict=True)
+    }
+    return EpisodeBuffer(
+        observations=observations,
+        actions=rows.action,
+        rewards=rows.components @ _vector(reward_weights()),
+        terminations=rows.terminated,
+        truncations=rows.truncated,
+        infos={**infos, "stage": list(observations[:, 7])},
     )
-    part("done", 2 * len(experts))(1.0)
-    return Demonstrations(space, episodes, rows)
 
 
-def _fitted(
-    space: str, expert: str, seed: int, progress: Callable[[float], None]
-) -> tuple[NDArray[np.float32], float]:
-    """Parameters of an expert's inverse design in single precision, as stored, and its distance."""
-    options = FitOptions(restarts=RESTARTS, seed=seed)
-    found = fit(design_space(space), expert_surface(expert), options, REGIONS.get(expert), progress)
-    return found.parameters.astype(np.float32), found.chamfer
+def _vector(weights: Mapping[str, float]) -> Array:
+    return np.array([weights[name] for name in COMPONENTS], np.float32)
 
 
-def _best_plan(
-    env: CodesignEnv, expert: str, design: NDArray[np.float32], seed: int
-) -> tuple[GraspPlan, int]:
-    """The plan with the best gap, and how many of the gaps succeed."""
-    built = built_design(env.space, tuple(design.astype(np.float64).tolist()))
-    if built.fingers is None:
-        raise DemonstrationError(f"{expert} in {env.space}: {'; '.join(built.problems)}")
-    try:
-        plan = replace(plan_for(built.fingers), settle_time=SETTLE_TIME)
-    except ValueError as error:
-        raise DemonstrationError(f"{expert} in {env.space}: {error}") from error
-    step = LIP_STEP if lip(built.fingers) > LEAST_LIP else PAD_STEP
-    offsets = step * (np.arange(GAPS) - TIGHTER[step])
-    widths = np.maximum(plan.width + offsets, built.fingers.min_width)
-    plans = [replace(plan, width=round(float(width), 6)) for width in widths]
-    rows = _buffer(env.space, len(plans) * (1 + env.config.episode_steps))
-    played = _play(env, np.tile(design, (len(plans), 1)), plans, seed, rows)
-    success = played.metrics["success"].astype(bool)
-    safe = success[1:-1] & success[:-2] & success[2:]
-    if not safe.any():
-        raise DemonstrationError(
-            f"{expert} in {env.space}: no gap from {1e3 * widths[0]:.2f} to "
-            f"{1e3 * widths[-1]:.2f} mm lifts the block, with a margin of {1e3 * step:g} mm: fit "
-            "it in another space"
+def _described(metadata: dict[str, Any]) -> Demonstration:
+    known = {field.name: metadata[field.name] for field in fields(Demonstration)}
+    return Demonstration(**{**known, "parameters": tuple(known["parameters"])})
+
+
+def _transitions(episode: Any, described: Demonstration, space: DesignSpace) -> Transitions:
+    """Raises: ValueError: what is stored is not a two-stage episode of this demonstration."""
+    steps, design = len(episode.rewards), np.array(described.parameters, np.float32)
+    seen = np.asarray(episode.observations)
+    _require_shape("parameters", design, (space.parameter_count,))
+    _require_shape("observations", seen, (steps + 1, 8 + space.parameter_count))
+    _require_shape("actions", episode.actions, (steps, space.parameter_count + 7))
+    box = observation_space(seen.shape[1])
+    outside = np.argwhere(~((seen >= box.low) & (seen <= box.high)))  # so that NaN counts too
+    if len(outside):
+        row, column = (int(i) for i in outside[0])
+        raise ValueError(
+            f"observations[{row}, {column}] is {seen[row, column]}: it must be within "
+            f"{box.low[column]}..{box.high[column]}"
         )
-    stress = np.where(safe, played.metrics["top10_stress"][1:-1], np.inf)
-    return plans[1 + int(stress.argmin())], int(success.sum())
+    if not np.array_equal(seen[0], design_stage_observation(space.parameter_count)):
+        raise ValueError("it does not begin with the design stage")
+    if not (seen[1:, 7] == CONTROL_STAGE).all() or steps < 2:
+        raise ValueError("it must be one design step and then control steps")
+    if not (seen[1:, 8:] == design).all() or not np.array_equal(
+        episode.actions[0, : len(design)], design
+    ):
+        raise ValueError(f"design of {described.expert!r} differs from the one in its metadata")
+    components = np.stack([episode.infos[f"reward_{name}"][1:] for name in COMPONENTS], axis=1)
+    return Transitions(
+        observation=seen[:-1],
+        action=episode.actions,
+        in_control=seen[:-1, 7] == CONTROL_STAGE,
+        components=components,
+        next_observation=seen[1:],
+        terminated=episode.terminations,
+        truncated=episode.truncations,
+    )
 
 
-def _play(
-    env: CodesignEnv,
-    designs: NDArray[np.float32],
-    plans: list[GraspPlan],
-    seed: int,
-    rows: ReplayBuffer,
-) -> Played:
-    """One scripted grasp in every lane."""
-    env.reset(seed=seed, options={"designs": designs})  # so that the fingers are known
-    script = ScriptedLanes(env.fingers, plans)
-    episodes = Episodes(env, COMPONENTS, METRICS, env.design_observation)
-    return play_round(episodes, seed, script.act, rows, designs)  # type: ignore[arg-type]
+def _require_rewards(rows: Transitions, rewards: Array, weights: Mapping[str, float]) -> None:
+    if not np.allclose(rows.components @ _vector(weights), rewards, atol=1e-4):
+        raise ValueError("rewards are not the weighted sum of their components")
+
+
+def _require_shape(name: str, array: Any, shape: tuple[int, ...]) -> None:
+    if np.shape(array) != shape:
+        raise ValueError(f"{name} have shape {np.shape(array)}; it must be {shape}")
+
+
+def _unreadable(folder: Path, error: Exception) -> ValueError:
+    return ValueError(
+        f"{folder}: not demonstrations ({error!r}); make them with `codesign policy demonstrate`"
+    )

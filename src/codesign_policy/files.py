@@ -22,6 +22,29 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def replacing_folder(folder: Path, marker: str) -> Iterator[Path]:
+    """An empty folder beside `folder`, moved to its place on success and removed on failure.
+
+    Args:
+        folder: may exist if it is empty or holds the file `marker`: then it is replaced.
+        marker: tells a folder of the same kind from one that happens to have the name.
+
+    Raises:
+        ValueError: there is something else.
+    """
+    if folder.exists() and not (folder / marker).is_file() and any(folder.iterdir()):
+        raise ValueError(f"{folder}: has other content, without a {marker}: name another folder")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as aside:
+        temporary = Path(aside, "new")
+        temporary.mkdir()
+        yield temporary
+        if folder.exists():
+            os.replace(folder, Path(aside, "old"))
+        os.replace(temporary, folder)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file in one go."""
     with replacing(path) as temporary:

@@ -1,0 +1,71 @@
+"""Making demonstrations: one grasp with a fitted finger, and a finger that never lifts."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codesign_design.design_space import design_space
+from codesign_policy import expert_demonstrations
+from codesign_policy.codesign_env import COMPONENTS
+from codesign_policy.demonstrations import Demonstrations, load_demonstrations
+from codesign_policy.expert_demonstrations import DemonstrationError, demonstrate
+from codesign_policy.task import physical_observations
+
+SPACE = "box-12"
+COUNT = design_space(SPACE).parameter_count
+
+
+@pytest.fixture(scope="module")
+def made() -> Demonstrations:
+    """A flat pad twice, with a quick fit and few gaps."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(expert_demonstrations, "RESTARTS", 4)
+    patch.setattr(expert_demonstrations, "GAPS", 4)
+    patch.setattr(expert_demonstrations, "TIGHTER", {2.5e-4: 4})
+    try:
+        return demonstrate(SPACE, experts=("flat_pad", "flat_pad"))
+    finally:
+        patch.undo()
+
+
+def test_a_demonstration_is_a_grasp_that_succeeds(made: Demonstrations) -> None:
+    episode, again = made.episodes
+    assert episode == again
+    assert episode.chamfer is not None
+    assert episode.chamfer < 2e-4
+    assert 0.026 < episode.width < 0.029
+    assert 100.0 < episode.median_stress < episode.top10_stress < 1200.0
+    assert episode.gaps_that_hold is not None
+    assert episode.gaps_that_hold >= 3
+
+
+def test_episodes_follow_one_another(made: Demonstrations) -> None:
+    """One design row and 200 control rows each, that end with the block up."""
+    for rows in made.transitions():
+        assert rows.in_control.tolist() == [False] + [True] * 200
+        np.testing.assert_array_equal(rows.action[0, :COUNT], made.rows.designs[0])
+        np.testing.assert_array_equal(
+            rows.observation[1:, 8:], np.tile(made.rows.designs[0], (200, 1))
+        )
+        np.testing.assert_array_equal(rows.next_observation[:-1], rows.observation[1:])
+        assert rows.truncated.tolist() == [False] * 200 + [True]
+        seen = physical_observations(rows.next_observation)
+        assert seen[-60:, 6].min() == pytest.approx(made.episodes[0].width, abs=2e-4)
+        assert rows.components[-20:, COMPONENTS.index("held")].all()
+
+
+def test_what_was_made_can_be_stored(made: Demonstrations, tmp_path: Path) -> None:
+    made.save(tmp_path / "made")
+    assert load_demonstrations(tmp_path / "made").episodes == made.episodes
+
+
+def test_fingers_that_never_lift_are_an_error(
+    made: Demonstrations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parameters = np.array(made.episodes[0].parameters, np.float32)
+    monkeypatch.setattr(expert_demonstrations, "_fitted", lambda *given: (parameters, 0.0))
+    monkeypatch.setattr(expert_demonstrations, "GAPS", 4)
+    monkeypatch.setattr(expert_demonstrations, "TIGHTER", {2.5e-4: -6})  # all of them too wide
+    with pytest.raises(DemonstrationError, match="flat_pad in box-12: no gap from"):
+        demonstrate(SPACE, experts=("flat_pad",))
