@@ -3,7 +3,6 @@
 Message definitions are taken from the bag itself, times from each message's header.stamp.
 """
 
-from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,13 @@ from typing import Any
 import numpy as np
 
 from codesign_policy.metrics import GraspMetrics, grasp_metrics
+from codesign_report.bag_messages import (
+    BagError,
+    Messages,
+    policy_window,
+    read_messages,
+    stamp,
+)
 from codesign_report.recording import (
     Floats,
     MotionSeries,
@@ -23,14 +29,6 @@ from codesign_report.recording import (
 
 REQUIRED = ("/stress", "/simulation_state", "/soft_body_mesh", "/finger_design", "/object_pose")
 OPTIONAL = ("/gripper_state", "/trial_state")
-
-RUNNING, FINISHED = 2, 3  # TrialState.msg
-
-Messages = dict[str, list[Any]]
-
-
-class BagError(ValueError):
-    """The bag can't be used; the message names it, what is wrong and what to do."""
 
 
 def read_trial(bag: str | Path) -> TrialRecording:
@@ -45,7 +43,7 @@ def read_trial(bag: str | Path) -> TrialRecording:
         BagError: not a bag, truncated, a topic is missing or empty, or a value makes no sense.
     """
     path = Path(bag)
-    messages = _read_messages(path)
+    messages = read_messages(path, REQUIRED, OPTIONAL)
     try:
         return _recording(path, messages)
     except AttributeError as error:
@@ -55,7 +53,7 @@ def read_trial(bag: str | Path) -> TrialRecording:
 
 
 def _recording(path: Path, messages: Messages) -> TrialRecording:
-    start, stop = _window(messages)
+    start, stop = policy_window(messages)
     if not start <= stop:
         raise BagError(
             f"{path}: the policy starts {(start - stop) * 1e-9:.3f} s after the recording's end: "
@@ -107,81 +105,6 @@ def trial_metrics(trial: TrialRecording | str | Path, **limits: float) -> GraspM
     )
 
 
-# -- reading -------------------------------------------------------------------------------------
-
-
-def _read_messages(path: Path) -> Messages:
-    from rosbags.highlevel import AnyReader
-
-    source = _source(path)
-    messages: Messages = defaultdict(list)
-    try:
-        with AnyReader([source]) as reader:
-            missing = sorted(set(REQUIRED) - {c.topic for c in reader.connections if c.msgcount})
-            if missing:
-                raise BagError(
-                    f"{path}: no messages on {', '.join(missing)}: record the simulator's graph"
-                )
-            wanted = [c for c in reader.connections if c.topic in REQUIRED + OPTIONAL]
-            for connection, _, data in reader.messages(wanted):
-                messages[connection.topic].append(reader.deserialize(data, connection.msgtype))
-    except BagError:
-        raise
-    except Exception as error:  # the reader raises many kinds for damaged files
-        raise BagError(
-            f"{path}: cannot be read ({error}): if the recorder was killed, "
-            "repair the .mcap with `mcap recover`"
-        ) from error
-    return messages
-
-
-def _source(path: Path) -> Path:
-    """What to open: the folder, or the single .mcap of a folder that lost its metadata."""
-    if not path.exists():
-        raise BagError(f"{path}: does not exist: give a rosbag2 folder")
-    if path.is_file():
-        if path.suffix != ".mcap":
-            raise BagError(f"{path}: not a bag: give a rosbag2 folder or an .mcap file")
-        return path
-    if (path / "metadata.yaml").exists():
-        return path
-    files = sorted(path.glob("*.mcap"))
-    if len(files) != 1:
-        raise BagError(
-            f"{path}: not a bag, it has no metadata.yaml and {len(files)} .mcap files: "
-            "give a rosbag2 folder"
-        )
-    return files[0]
-
-
-def _stamp(message: Any) -> int:
-    """header.stamp [ns]."""
-    return _nanoseconds(message.header.stamp)
-
-
-def _nanoseconds(stamp: Any) -> int:
-    """An integer, since a double near 2e9 s would round to 0.2 us."""
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
-
-
-def _window(messages: Messages) -> tuple[int, int]:
-    """Stamps [ns] after and up to which the policy ran; all of the stress series if nobody told."""
-    stress = [_stamp(m) for m in messages["/stress"]]
-    states = messages["/trial_state"]
-    if states and states[-1].state == FINISHED:
-        started, ended = _nanoseconds(states[-1].started), _nanoseconds(states[-1].ended)
-        if 0 < started < ended:
-            return started, ended
-    # Failed or cut off: from when it last began to run.
-    running = len(states)
-    while running and states[running - 1].state != RUNNING:
-        running -= 1
-    while running and states[running - 1].state == RUNNING:
-        running -= 1
-    began = next((_stamp(m) for m in states[running:] if m.state == RUNNING), min(stress))
-    return began, max(stress)
-
-
 def _series(
     path: Path,
     messages: Messages,
@@ -191,7 +114,7 @@ def _series(
     values: Callable[[Any], Any],
 ) -> tuple[Floats, np.ndarray]:
     """Times since start and values of the messages within the window, sorted, no stamp twice."""
-    stamps = np.array([_stamp(m) for m in messages[topic]])
+    stamps = np.array([stamp(m) for m in messages[topic]])
     stamps, order = np.unique(stamps, return_index=True)
     # Not the sample at the start itself: published before, it may be missing in the recording.
     inside = (stamps > start) & (stamps <= stop)
