@@ -92,4 +92,5 @@ class LearnedGrasp:
         self._steps += 1
         if self.done:
             return ControlAction(np.zeros(3), np.zeros(3), 0.0)
-        return ControlAction.from_normalised(self._pair.act(observation.normalised()))
+        action = self._pair.act(observation.normalised())
+        return ControlAction.from_normalised(action.astype(np.float64))

@@ -8,7 +8,7 @@ from codesign_design.finger_pair import FingerPair
 from codesign_policy.learned import LearnedGrasp
 from codesign_policy.policy_file import TrainedPair, load_pair
 from codesign_policy.scripted import GraspPlan, ScriptedGrasp
-from codesign_policy.shipped import checkpoint_names, checkpoint_path
+from codesign_policy.shipped import POLICY, checkpoint_names, checkpoint_path
 from codesign_policy.task import ControlAction, Observation
 
 SCRIPTED = "scripted"
@@ -48,6 +48,12 @@ class Policy(Protocol):
 def policy_names() -> list[str]:
     """Names that `load_policy` knows; it also takes the path of a checkpoint."""
     return [SCRIPTED, *checkpoint_names()]
+
+
+def policy_label(name: str) -> str:
+    """A word for people, and for files: the name itself, or the last of a path that tells."""
+    path = Path(name)
+    return path.parent.name if path.name == POLICY else path.stem
 
 
 def trained_pair(name: str) -> TrainedPair | None:

@@ -1,5 +1,8 @@
 """Runs trials one after the other through the action /run_trial, and writes their results.
 
+    run_trials --count 3 --out runs/mine
+    run_trials --policy codesign --policy original --count 3    both on the same seeds
+
 Exit codes: 0 all succeeded, 1 one did not, 3 the graph did not answer.
 """
 
@@ -17,11 +20,19 @@ from codesign_interfaces.msg import TrialDomain
 from rclpy.action import ActionClient
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from codesign_policy.policy import policy_label
+
 NO_ANSWER = 3
 WORDS = {1: "preparing", 2: "running", 3: "finished", 4: "failed"}
+
+
+class GraphError(RuntimeError):
+    """The graph does not answer, or refuses; the message says which."""
 
 
 class TrialClient(Node):
@@ -30,10 +41,29 @@ class TrialClient(Node):
     def __init__(self) -> None:
         super().__init__("run_trials")
         self._client = ActionClient(self, RunTrial, "/run_trial")
+        self._policy = AsyncParameterClient(self, "policy")
 
     def wait_for_graph(self, timeout: float) -> bool:
         """Whether the trial runner is there within `timeout` [s]."""
         return self._client.wait_for_server(timeout)
+
+    def choose(self, policy: str) -> None:
+        """Has the policy node serve this one.
+
+        Raises:
+            GraphError: no answer, or the node refuses.
+        """
+        if not self._policy.wait_for_services(60.0):
+            raise GraphError("no node policy within 60 s: is the graph up?")
+        for _ in range(3):  # a reply may be lost while the nodes still find each other
+            asked = self._policy.set_parameters([Parameter("policy", value=policy)])
+            rclpy.spin_until_future_complete(self, asked, timeout_sec=5.0)
+            if asked.done():
+                (result,) = asked.result().results
+                if not result.successful:
+                    raise GraphError(result.reason)
+                return
+        raise GraphError("the node policy does not answer: see its log")
 
     def run(self, goal: RunTrial.Goal, on_feedback: Any, timeout: float) -> RunTrial.Result | None:
         """The result of one trial, or None when nothing came back within `timeout` [s]."""
@@ -49,10 +79,18 @@ class TrialClient(Node):
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(prog="run_trials", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="run_trials", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=3, help="how many trials")
     parser.add_argument("--seed", type=int, default=0, help="of the first trial; then one up each")
-    parser.add_argument("--gripper", default="stock", help="label of the results")
+    parser.add_argument(
+        "--policy",
+        action="append",
+        help="what the policy node is to serve, which then is the label; may be given several "
+        "times (default: what it serves already)",
+    )
+    parser.add_argument("--gripper", default="stock", help="label of the results without --policy")
     parser.add_argument("--out", type=Path, help="folder for bags and trials.json")
     parser.add_argument("--timeout", type=float, default=180.0, help="per trial, wall time [s]")
     options = parser.parse_args()
@@ -69,25 +107,39 @@ def main() -> None:
 def _run(options: argparse.Namespace) -> int:
     client = TrialClient()
     console = Console(stderr=True)
-    with _progress(console) as progress:
-        task = progress.add_task("waiting for the graph", total=None)
-        if not client.wait_for_graph(60.0):
-            console.print("run_trials: no action /run_trial within 60 s: is the graph up?")
-            return NO_ANSWER
-        results = []
-        for seed in range(options.seed, options.seed + options.count):
-            name = f"{options.gripper}-seed{seed}"
-            goal = _goal(options, seed, name)
-            result = client.run(goal, _feedback(progress, task, name), options.timeout)
-            if result is None:
-                console.print(f"run_trials: {name}: no result within {options.timeout} s")
-                return NO_ANSWER
-            results.append(_as_json(options.gripper, seed, result))
-            verdict = "success" if result.success else f"FAILED: {result.message}"
-            console.print(f"{name}: {verdict}")
+    try:
+        with _progress(console) as progress:
+            results = _all_trials(client, options, console, progress)
+    except GraphError as error:
+        console.print(f"run_trials: {error}", soft_wrap=True)
+        return NO_ANSWER
     if options.out:
         _write_atomically(options.out / "trials.json", json.dumps({"trials": results}, indent=2))
     return 0 if all(r["success"] for r in results) else 1
+
+
+def _all_trials(
+    client: TrialClient, options: argparse.Namespace, console: Console, progress: Progress
+) -> list[dict[str, Any]]:
+    """Policy by policy, so that fingers are changed once each."""
+    task = progress.add_task("waiting for the graph", total=None)
+    if not client.wait_for_graph(60.0):
+        raise GraphError("no action /run_trial within 60 s: is the graph up?")
+    results = []
+    for policy in options.policy or [None]:
+        if policy is not None:
+            client.choose(policy)
+        gripper = policy_label(policy) if policy else options.gripper
+        for seed in range(options.seed, options.seed + options.count):
+            name = f"{gripper}-seed{seed}"
+            goal = _goal(options.out, gripper, seed)
+            result = client.run(goal, _feedback(progress, task, name), options.timeout)
+            if result is None:
+                raise GraphError(f"{name}: no result within {options.timeout} s")
+            results.append(_as_json(gripper, seed, result))
+            verdict = "success" if result.success else f"FAILED: {result.message}"
+            console.print(f"{name}: {verdict}", soft_wrap=True)
+    return results
 
 
 def _progress(console: Console) -> Progress:
@@ -99,10 +151,10 @@ def _progress(console: Console) -> Progress:
     )
 
 
-def _goal(options: argparse.Namespace, seed: int, name: str) -> RunTrial.Goal:
-    bag = str((options.out / name).resolve()) if options.out else ""
+def _goal(out: Path | None, gripper: str, seed: int) -> RunTrial.Goal:
+    bag = str((out / f"{gripper}-seed{seed}").resolve()) if out else ""
     undrawn = dict.fromkeys(TrialDomain.get_fields_and_field_types(), math.nan)
-    return RunTrial.Goal(gripper=options.gripper, seed=seed, bag=bag, domain=TrialDomain(**undrawn))
+    return RunTrial.Goal(gripper=gripper, seed=seed, bag=bag, domain=TrialDomain(**undrawn))
 
 
 def _feedback(progress: Progress, task: Any, name: str) -> Any:

@@ -408,6 +408,7 @@ class FemSimulator(LeanNode):
         self._paused = bool(request.paused) and self._lockstep
         response.success, response.domain = True, messages.domain_message(domain)
         response.message = "block on the table, arm in its start posture"
+        response.fingers = self._cell.fingers.content_hash
         self._publish_state()
         return response
 

@@ -36,7 +36,10 @@ class FingerDesigner(LeanNode):
             declare(self, "output_dir", "runs/designs", "folder of the files, one folder per hash")
         )
         initial = declare(
-            self, "initial", "stock", "expert's name of the fingers mounted at the start"
+            self,
+            "initial",
+            "stock",
+            "fingers mounted at the start: an expert's name, or the folder of a finger's files",
         )
         self._limit = declare(
             self, "time_limit", 120.0, "longest time for one order [s]", low=1.0, high=3600.0
@@ -148,6 +151,10 @@ def _deliver(order: Order, folder: Path) -> tuple[FingerPair, str, list[str]]:
 def _initial(name: str) -> FingerPair:
     if name == "stock":
         return stock_fingers()
+    if Path(name).is_dir():
+        from codesign_design.finger_files import load_finger_pair
+
+        return load_finger_pair(Path(name))
     from codesign_design.experts import expert
 
     return expert(name)

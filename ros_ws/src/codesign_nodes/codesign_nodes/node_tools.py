@@ -85,13 +85,14 @@ def declare(
     *,
     low: float | None = None,
     high: float | None = None,
+    read_only: bool = True,
 ) -> Any:
-    """Declares a read-only parameter and returns its value.
+    """Declares a parameter, read-only unless told otherwise, and returns its value.
 
     A value of the wrong type or outside [low, high] makes the node fail to start, with a message
     that names it.
     """
-    descriptor = ParameterDescriptor(description=description, read_only=True)
+    descriptor = ParameterDescriptor(description=description, read_only=read_only)
     if low is not None and high is not None:
         if isinstance(default, float):
             descriptor.floating_point_range = [

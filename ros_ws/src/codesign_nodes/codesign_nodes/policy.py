@@ -1,5 +1,9 @@
 """Node policy: observations in, actions out, 20 times a second while it runs.
 
+A trained pair has two stages. `~/prepare` is the design stage: it orders the pair's fingers from
+finger_design, unless a person has to mount them, and waits until they are in use. `~/start` begins
+the control stage. The parameter `policy` may be changed while nothing runs.
+
 At real time a timer asks for actions; without fresh observations the node stays silent and the
 controller's watchdog halts the arm. With use_sim_time each observation whose stamp falls on the
 policy's period is answered once, so that a trial is repeatable.
@@ -12,9 +16,12 @@ from typing import Any
 import numpy as np
 from codesign_interfaces.msg import ControlAction as ControlActionMsg
 from codesign_interfaces.msg import FingerDesign, GripperState, PolicyStatus
+from codesign_interfaces.srv import GenerateDesign, PreparePolicy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -22,12 +29,23 @@ from codesign_design.finger_pair import FingerPair
 from codesign_nodes import messages, qos
 from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, nanoseconds, run, steady_clock
 from codesign_policy.finger_plan import plan_for
-from codesign_policy.policy import Policy, Surroundings, load_policy, policy_names
+from codesign_policy.learned import mismatch
+from codesign_policy.policy import (
+    SCRIPTED,
+    Policy,
+    Surroundings,
+    load_policy,
+    policy_label,
+    policy_names,
+    trained_pair,
+)
+from codesign_policy.policy_file import TrainedPair
 from codesign_policy.scripted import GraspPlan
 from codesign_policy.task import POLICY_PERIOD, Observation
 
 PERIOD_NS = round(POLICY_PERIOD * 1e9)
 DESIGN_TIMEOUT = 3.0  # s
+ORDER_PATIENCE = 10.0  # s, until an order is given again: a reply may be lost
 STATE_NAMES = {
     PolicyStatus.IDLE: "idle",
     PolicyStatus.RUNNING: "running",
@@ -41,7 +59,27 @@ class PolicyNode(LeanNode):
 
     def __init__(self) -> None:
         super().__init__("policy")
-        self._name = declare(self, "policy", "scripted", f"one of {', '.join(policy_names())}")
+        declare(
+            self,
+            "policy",
+            SCRIPTED,
+            f"one of {', '.join(policy_names())}, or the path of a checkpoint",
+            read_only=False,
+        )
+        self._orders = declare(
+            self,
+            "orders_fingers",
+            True,
+            "~/prepare has a trained pair's fingers made; false where a person mounts them",
+        )
+        self._order_timeout = declare(
+            self,
+            "order_timeout",
+            120.0,
+            "longest wait of ~/prepare for fingers [s]",
+            low=1.0,
+            high=3600.0,
+        )
         self._table_height = declare(
             self, "table_height", 0.0, "z of the table in link_base [m]", low=-0.5, high=0.5
         )
@@ -65,12 +103,14 @@ class PolicyNode(LeanNode):
             self, "scripted.lift", GraspPlan().lift, "height to lift [m]", low=0.01, high=0.3
         )
         self._lockstep = self.get_parameter("use_sim_time").value
-        load_policy(self._name, Surroundings(self._table_height, 0.0, 0.0))
+        trained_pair(self._name)  # an unknown name ends the node here
         self._policy: Policy | None = None
+        self._design_parameters = np.zeros(0)
         self._state, self._message, self._sequence = PolicyStatus.IDLE, "", 0
         self._not_finite = 0
         self._answered = -1
         self._design: FingerDesign | None = None
+        self._decoded: FingerPair | None = None
         self._design_came: Future | None = None
         self._latest: dict[str, Any] = {}
         self._received: dict[str, float] = {}
@@ -89,10 +129,36 @@ class PolicyNode(LeanNode):
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
         # In a group of its own: waiting for the fingers must not keep them from coming.
         waiting = ReentrantCallbackGroup()
+        self._generate = self.create_client(
+            GenerateDesign, "/finger_design/generate_design", callback_group=waiting
+        )
+        # Before ~/start: who finds that one finds this one too.
+        self.create_service(PreparePolicy, "~/prepare", self._on_prepare, callback_group=waiting)
         self.create_service(Trigger, "~/start", self._on_start, callback_group=waiting)
         self.create_service(Trigger, "~/stop", self._on_stop)
+        self.add_on_set_parameters_callback(self._on_set_parameters)
         if not self._lockstep:
             self._timer = self.create_timer(POLICY_PERIOD, self._on_timer, clock=steady_clock())
+
+    @property
+    def _name(self) -> str:
+        """Of the policy: a name or a path."""
+        return self.get_parameter("policy").value
+
+    def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Another policy, if it can be loaded and none is at work."""
+        for parameter in parameters:
+            if parameter.name != "policy":
+                continue
+            if self._policy is not None:
+                return SetParametersResult(
+                    successful=False, reason=f"{self._name} is running: call ~/stop first"
+                )
+            try:
+                trained_pair(parameter.value)
+            except ValueError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     # --- observations
 
@@ -103,7 +169,7 @@ class PolicyNode(LeanNode):
             self._answer_if_complete()
 
     def _on_design(self, message: FingerDesign) -> None:
-        self._design = message
+        self._design, self._decoded = message, None
         self._stop_waiting()
 
     def _on_timer(self) -> None:
@@ -161,12 +227,11 @@ class PolicyNode(LeanNode):
         self._publish_status(stamp)
 
     def _observation(self) -> Observation:
-        parameters = self._design.parameters if self._design else []
         return Observation(
             tcp_position=messages.from_xyz(self._latest["tcp_pose"].pose.position),
             object_position=messages.from_xyz(self._latest["object_pose"].pose.position),
             width=self._latest["gripper_state"].width,
-            design=np.array(parameters, dtype=np.float64),
+            design=self._design_parameters,
         )
 
     def _fault(self, why: str) -> None:
@@ -185,6 +250,65 @@ class PolicyNode(LeanNode):
         message.header.stamp = stamp
         self._status_pub.publish(message)
 
+    # --- the design stage
+
+    async def _on_prepare(
+        self, _: PreparePolicy.Request, response: PreparePolicy.Response
+    ) -> PreparePolicy.Response:
+        try:
+            fingers = await self._design_stage()
+        except ValueError as error:
+            response.message = str(error)
+            return response
+        response.success, response.fingers = True, fingers.content_hash
+        response.message = f"{self._name} is ready for fingers {fingers.name}"
+        return response
+
+    async def _design_stage(self) -> FingerPair:
+        """Sees to it that the policy's own fingers are in use; returns them.
+
+        Raises:
+            ValueError: they are not, and why.
+        """
+        pair = trained_pair(self._name)
+        fingers = await self._fingers_in_use()
+        wrong = mismatch(pair, fingers) if pair else ""
+        if not wrong:
+            return fingers
+        if not self._orders:
+            raise ValueError(
+                f"{wrong}: mount its own, then say so by finger_design's ~/generate_design or its "
+                "parameter `initial`"
+            )
+        await self._order(pair)
+        return await self._fingers_in_use()
+
+    async def _order(self, pair: TrainedPair) -> None:
+        """Has the pair's fingers made and waits until they are in use.
+
+        Raises:
+            ValueError: finger_design refuses, or takes too long.
+        """
+        name = policy_label(self._name) if pair.space else "stock"
+        request = GenerateDesign.Request(name=name, cage=pair.space)
+        request.parameters = [float(p) for p in pair.design]
+        answer: Future | None = None
+        started = asked = time.monotonic()
+        while mismatch(pair, self._design):
+            now = time.monotonic()
+            if now - started > self._order_timeout:
+                raise ValueError(
+                    f"fingers of {self._name} are not in use {self._order_timeout:g} s after they "
+                    "were ordered: is finger_design there? See its log, or raise order_timeout"
+                )
+            if answer is not None and answer.done() and not answer.result().success:
+                raise ValueError(f"finger_design: {answer.result().message}")
+            if (answer is None or now - asked > ORDER_PATIENCE) and (
+                self._generate.service_is_ready()
+            ):
+                answer, asked = self._generate.call_async(request), now
+            await self.sleep(POLICY_PERIOD)
+
     # --- services
 
     async def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -192,18 +316,14 @@ class PolicyNode(LeanNode):
             # Asked again, because the first answer was lost; ~/stop comes before a new start.
             response.success, response.message = True, f"{self._name} is running already"
             return response
-        await self._design_or_timeout()
-        if self._design is None:
-            response.success = False
-            response.message = "no /finger_design yet: start fem_simulator or finger_design"
-            return response
         try:
-            fingers = messages.design_from(self._design)
-            around = Surroundings(self._table_height, fingers.tip_depth, fingers.min_width)
+            fingers = await self._fingers_in_use()
+            around = Surroundings(self._table_height, fingers)
             self._policy = load_policy(self._name, around, self._plan_for(fingers))
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response
+        self._design_parameters = np.array(fingers.parameters)
         self._sequence = 0
         self._state, self._message = PolicyStatus.RUNNING, ""
         response.success, response.message = True, f"{self._name} with fingers {fingers.name}"
@@ -212,10 +332,19 @@ class PolicyNode(LeanNode):
         return response
 
     def _plan_for(self, fingers: FingerPair) -> GraspPlan | None:
-        if self._name != "scripted":
+        if self._name != SCRIPTED:
             return None
         plan = replace(plan_for(fingers), lift=self._lift)
         return replace(plan, width=self._width) if self._width else plan
+
+    async def _fingers_in_use(self) -> FingerPair:
+        """Raises: ValueError: none came, or what came cannot be used."""
+        await self._design_or_timeout()
+        if self._design is None:
+            raise ValueError("no /finger_design yet: start fem_simulator or finger_design")
+        if self._decoded is None:
+            self._decoded = messages.design_from(self._design)
+        return self._decoded
 
     async def _design_or_timeout(self) -> None:
         """Just after bring-up the fingers may still be on their way."""

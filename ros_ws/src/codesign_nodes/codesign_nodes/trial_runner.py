@@ -1,4 +1,4 @@
-"""Node trial_runner: one trial as one action: reset, start, wait, judge, record.
+"""Node trial_runner: one trial as one action: prepare, reset, start, wait, judge, record.
 
 With a simulator in the graph the object and the arm are reset through it; without one the arm
 moves to its start posture and a person puts the object there.
@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 from codesign_interfaces.action import MoveTo, RunTrial
 from codesign_interfaces.msg import PolicyStatus, Stress, TrialDomain, TrialMetrics, TrialState
-from codesign_interfaces.srv import ResetSimulation, StartRecording, StopRecording
+from codesign_interfaces.srv import (
+    PreparePolicy,
+    ResetSimulation,
+    StartRecording,
+    StopRecording,
+)
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
@@ -30,6 +35,9 @@ from codesign_nodes.node_tools import (
     steady_clock,
 )
 from codesign_policy.metrics import GraspMetrics, grasp_metrics
+
+RESETS = 5  # until the simulator wears the fingers that the policy is ready for
+RESET_PAUSE = 0.5  # s
 
 
 class TrialError(RuntimeError):
@@ -56,6 +64,14 @@ class TrialRunner(LeanNode):
         )
         self._service_timeout = declare(
             self, "service_timeout", 5.0, "longest wait for an answer [s]", low=0.1, high=60.0
+        )
+        self._prepare_timeout = declare(
+            self,
+            "prepare_timeout",
+            130.0,
+            "longest wait for the policy's design stage [s]",
+            low=0.1,
+            high=3600.0,
         )
         self._startup_timeout = declare(
             self,
@@ -95,6 +111,7 @@ class TrialRunner(LeanNode):
         self._enable = self.create_client(SetBool, "/cartesian_controller/enable")
         self._reset_fault = self.create_client(Trigger, "/cartesian_controller/reset_fault")
         self._move_to = ActionClient(self, MoveTo, "/cartesian_controller/move_to")
+        self._prepare_policy = self.create_client(PreparePolicy, "/policy/prepare")
         self._start_policy = self.create_client(Trigger, "/policy/start")
         self._stop_policy = self.create_client(Trigger, "/policy/stop")
         self._start_recording = self.create_client(StartRecording, "/trial_recorder/start")
@@ -201,18 +218,40 @@ class TrialRunner(LeanNode):
         return result
 
     async def _prepare(self, request: RunTrial.Goal) -> TrialDomain:
+        fingers = await self._design_stage()
         domain = TrialDomain()
         if self._simulated:
-            reset = ResetSimulation.Request(
-                seed=request.seed, domain=request.domain, paused=self._lockstep
-            )
-            domain = (await self._call(self._reset, reset)).domain
+            domain = await self._reset_with(fingers, request)
             # A simulated arm needs no person to look at it before it goes on.
             await self._call(self._reset_fault, Trigger.Request())
         await self._call(self._enable, SetBool.Request(data=True))
         if not self._simulated:
             await self._go_home()
         return domain
+
+    async def _design_stage(self) -> str:
+        """Content hash of the fingers that the policy is ready for; empty if it does not say."""
+        await self._until_there(self._start_policy)
+        if not self._prepare_policy.service_is_ready():  # a person at the controls
+            return ""
+        asks = math.ceil(self._prepare_timeout / self._service_timeout)
+        request = PreparePolicy.Request()
+        return (await self._call(self._prepare_policy, request, asks)).fingers
+
+    async def _reset_with(self, fingers: str, request: RunTrial.Goal) -> TrialDomain:
+        """Resets until these fingers are on: new ones may reach the policy before the simulator."""
+        reset = ResetSimulation.Request(
+            seed=request.seed, domain=request.domain, paused=self._lockstep
+        )
+        for _ in range(RESETS):
+            answer = await self._call(self._reset, reset)
+            if fingers in ("", answer.fingers):
+                return answer.domain
+            await self.sleep(RESET_PAUSE)
+        raise TrialError(
+            f"the simulator has fingers {answer.fingers[:12]} on, the policy is ready for "
+            f"{fingers[:12]}: see the simulator's log"
+        )
 
     async def _go_home(self) -> None:
         if not self._move_to.wait_for_server(self._service_timeout):
@@ -265,26 +304,35 @@ class TrialRunner(LeanNode):
                 self.get_logger().error(str(error))
                 result.message += f"; {error}"
 
-    async def _call(self, client: Any, request: Any) -> Any:
+    async def _call(self, client: Any, request: Any, asks: int = 2) -> Any:
         """Calls a service; raises TrialError when it is absent, silent or says no."""
         name = client.srv_name
-        patience = self._startup_timeout
-        while not client.service_is_ready():
-            if patience <= 0.0:
-                raise TrialError(f"service {name} is not there after {self._startup_timeout} s")
-            patience -= 0.1
-            await self.sleep(0.1)
+        await self._until_there(client)
         # A reply is lost when the server has not discovered the client's reader yet: ask twice.
         # Every service called here may be asked again; a recorder that has stopped says so.
-        response = await self._ask(client, request) or await self._ask(client, request)
-        if response is None:
+        for _ in range(asks):
+            response = await self._ask(client, request)
+            if response is not None:
+                break
+        else:
             raise TrialError(
-                f"service {name} did not answer within 2 x {self._service_timeout} s: "
+                f"service {name} did not answer within {asks} x {self._service_timeout} s: "
                 "see that node's log, or raise service_timeout"
             )
         if not response.success:
             raise TrialError(f"{name}: {response.message}")
         return response
+
+    async def _until_there(self, client: Any) -> None:
+        """Raises TrialError when a service does not appear."""
+        patience = self._startup_timeout
+        while not client.service_is_ready():
+            if patience <= 0.0:
+                raise TrialError(
+                    f"service {client.srv_name} is not there after {self._startup_timeout} s"
+                )
+            patience -= 0.1
+            await self.sleep(0.1)
 
     async def _ask(self, client: Any, request: Any) -> Any:
         """The answer, or None after the service timeout."""
