@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from codesign_design.finger_pair import FingerPair
 from codesign_policy.domain import FRICTION, TrialDomain, domain_corners, draw_domain
-from codesign_policy.episode import EpisodeLog, Measured, measure
+from codesign_policy.episode import EpisodeLog, Measured, measure, step_components
 from codesign_policy.lanes import (
     FINAL_INFO,
     STEP_INFO,
@@ -28,7 +28,7 @@ from codesign_policy.lanes import (
     set_spaces,
     swapped,
 )
-from codesign_policy.reward import RewardComponents, RewardWeights, reward_components, weighted
+from codesign_policy.reward import RewardComponents, RewardWeights, weighted
 from codesign_policy.simulated_fingers import lip, simulated_fingers
 from codesign_policy.task import (
     CONTROL_STAGE,
@@ -255,7 +255,9 @@ class ControlEnv(VectorEnv):
         self.simulator.advance(POLICY_PERIOD, self._tool.targets())
         self._measured = measure(self.simulator)
         self._log.add(active, self._measured)
-        components = self._components(self._measured)
+        components = step_components(
+            self._log, self._measured, self._tool.position, self._tool.opening
+        )
         rewards = np.where(self._ended, 0.0, weighted(components, self.config.weights))
         truncated = self._log.steps >= self.config.episode_steps
         terminated = self._log.lost & self.config.end_when_lost
@@ -265,21 +267,6 @@ class ControlEnv(VectorEnv):
         if len(ending):
             self._finish(ending, info)
         return self._observations(), rewards, terminated, truncated, info
-
-    def _components(self, measured: Measured) -> RewardComponents:
-        away = measured.centre - self._tool.position
-        axis = self._tool.opening  # from the right finger to the left one
-        left = -(measured.left_force * axis).sum(axis=1)
-        right = (measured.right_force * axis).sum(axis=1)
-        return reward_components(
-            rise=self._log.rise,
-            steps_up=self._log.steps_up,
-            normal_force=np.minimum(left, right),
-            distance=np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2),
-            top10_stress=measured.top10_stress,
-            mean_stress=measured.mean_stress,
-            contact=self._log.touching,
-        )
 
     def _info(self, components: RewardComponents, measured: Measured) -> Info:
         values = {

@@ -14,6 +14,7 @@ from codesign_policy.metrics import (
     grasp_metrics,
     in_contact,
 )
+from codesign_policy.reward import RewardComponents, reward_components
 from codesign_policy.task import POLICY_PERIOD
 from codesign_sim import Simulator
 
@@ -133,3 +134,28 @@ class EpisodeLog:
         left, right = np.moveaxis(self._forces[:count, lane], 1, 0)
         times = np.arange(count) * POLICY_PERIOD
         return grasp_metrics(times, top10, median, left, right, height)
+
+
+def step_components(
+    log: EpisodeLog, measured: Measured, tool_position: Array, opening: Array
+) -> RewardComponents:
+    """The reward's components of the control step that ended last; each (E,).
+
+    Args:
+        log: has seen the step.
+        measured: at its end.
+        tool_position: of the grasp frame, (E, 3) [m].
+        opening: direction from the right finger to the left one, (E, 3).
+    """
+    away = measured.centre - tool_position
+    left = -(measured.left_force * opening).sum(axis=1)
+    right = (measured.right_force * opening).sum(axis=1)
+    return reward_components(
+        rise=log.rise,
+        steps_up=log.steps_up,
+        normal_force=np.minimum(left, right),
+        distance=np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2),
+        top10_stress=measured.top10_stress,
+        mean_stress=measured.mean_stress,
+        contact=log.touching,
+    )
