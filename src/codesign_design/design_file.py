@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from codesign_design.design_space import DesignSpace, design_space
 from codesign_design.finger_pair import TriangleMesh
+from codesign_design.mesh_checks import check_closed
 
 UNITS = {"mm": 1e-3, "m": 1.0, "inch": 0.0254}
 """Length units of a surface file, in metres."""
@@ -56,7 +57,7 @@ def read_surface(path: Path, unit: str = "mm") -> TriangleMesh:
     """A closed surface from an STL, OBJ or PLY file, in metres.
 
     Raises:
-        ValueError: unknown unit, not a surface, empty, or not closed.
+        ValueError: unknown unit, not a surface, empty, or not closed; counts the open edges.
         OSError: cannot be read.
     """
     if unit not in UNITS:
@@ -70,9 +71,12 @@ def read_surface(path: Path, unit: str = "mm") -> TriangleMesh:
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ValueError(f"{path} holds no triangles; export it as an STL, OBJ or PLY surface")
     mesh.merge_vertices()
-    if not mesh.is_watertight:
-        raise ValueError(f"{path} is not closed: every edge must belong to two faces; close it")
+    check_closed(_surface(mesh, unit), str(path))
     mesh.fix_normals()
+    return _surface(mesh, unit)
+
+
+def _surface(mesh: trimesh.Trimesh, unit: str) -> TriangleMesh:
     vertices = np.array(mesh.vertices, dtype=np.float64) * UNITS[unit]
     return TriangleMesh(vertices, np.array(mesh.faces, dtype=np.int32))
 

@@ -78,17 +78,40 @@ def check_mesh(surface: TriangleMesh) -> MeshChecks:
     )
 
 
+def check_closed(surface: TriangleMesh, name: str) -> None:
+    """Whether every edge borders exactly two faces.
+
+    Raises:
+        ValueError: it does not; says how many edges are open and how many belong to more faces.
+    """
+    faces_at_edge = _edges(surface.faces)
+    if not len(faces_at_edge) or (faces_at_edge != 2).any():
+        raise ValueError(
+            f"{name} is not closed: of {len(faces_at_edge)} edges {(faces_at_edge == 1).sum()} are "
+            f"open and {(faces_at_edge > 2).sum()} belong to more than two faces, 0 are allowed; "
+            "fill its holes and remove inner faces in a mesh editor (Blender: 3D Print Toolbox, "
+            "Make Manifold)"
+        )
+
+
 def edge_checks(faces: NDArray[np.int32]) -> tuple[bool, bool]:
     """Whether every edge borders exactly two faces, and whether those are wound consistently."""
-    start = faces.astype(np.int64).ravel()
-    end = np.roll(faces, -1, axis=1).astype(np.int64).ravel()
+    start, end = _ends(faces)
+    watertight = len(faces) > 0 and bool((_edges(faces) == 2).all() and (start != end).all())
+    directed = np.unique(start * (int(faces.max(initial=0)) + 1) + end, return_counts=True)[1]
+    return watertight, bool((directed == 1).all())
+
+
+def _edges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Number of faces at each edge."""
+    start, end = _ends(faces)
     size = int(faces.max(initial=0)) + 1
-    undirected = np.unique(
-        np.minimum(start, end) * size + np.maximum(start, end), return_counts=True
-    )
-    directed = np.unique(start * size + end, return_counts=True)
-    watertight = len(faces) > 0 and bool((undirected[1] == 2).all() and (start != end).all())
-    return watertight, bool((directed[1] == 1).all())
+    return np.unique(np.minimum(start, end) * size + np.maximum(start, end), return_counts=True)[1]
+
+
+def _ends(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and second vertex of each face's edges, 3F of them."""
+    return faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).astype(np.int64).ravel()
 
 
 def face_components(faces: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from codesign_cli.main import app
 from codesign_design.design_file import read_parameters, write_stl
+from codesign_design.finger_pair import TriangleMesh
 from codesign_design.targets import target
 
 RUN = CliRunner()
@@ -59,6 +60,15 @@ def test_fit_refuses_wrong_arguments(
     assert result.exit_code == 2
     assert message in result.stderr
     assert not (tmp_path / "o").exists()
+
+
+def test_fit_refuses_an_open_target_and_says_how_open(tmp_path: Path) -> None:
+    flat = target("flat")
+    write_stl(tmp_path / "open.stl", TriangleMesh(flat.vertices, flat.faces[1:]))
+    result = RUN.invoke(app, ["design", "fit", str(tmp_path / "open.stl"), "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "open.stl is not closed: of 666 edges 3 are open" in result.stderr
+    assert "fill its holes" in result.stderr
 
 
 def test_show_refuses_what_is_not_there(tmp_path: Path) -> None:

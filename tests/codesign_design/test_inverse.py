@@ -9,8 +9,10 @@ import torch
 from codesign_design.chamfer import distances_to
 from codesign_design.design_space import design_space
 from codesign_design.finger_pair import TriangleMesh
-from codesign_design.inverse import FitOptions, fit
-from codesign_design.matching import Samples, Surface, chamfer_rows, closing_rows, wall_rows
+from codesign_design.fit_options import FitOptions
+from codesign_design.fit_surfaces import Samples, Surface
+from codesign_design.inverse import fit
+from codesign_design.matching import chamfer_rows, closing_rows, wall_rows
 from codesign_design.targets import SCOOP_LIP_REGION, target
 
 QUICK = FitOptions(restarts=6, iterations=24, samples=150, polished=1, polish_iterations=25)
@@ -76,24 +78,22 @@ def test_keeps_within_the_bounds() -> None:
     assert np.abs(result.parameters).max() <= 0.75 + 1e-12
 
 
-def flat_samples(space_name: str = "box-12") -> tuple[Samples, Surface, torch.Tensor]:
+def test_an_open_target_is_refused_with_the_number_of_its_open_edges(known: TriangleMesh) -> None:
+    holed = TriangleMesh(known.vertices, known.faces[1:])
+    message = "the target is not closed: of .* edges 3 are open and 0 belong to more than two"
+    with pytest.raises(ValueError, match=message):
+        fit(design_space("box-7"), holed, QUICK)
+
+
+def flat_samples(space_name: str = "box-12") -> Samples:
     space = design_space(space_name)
-    surface = Surface(space.weights, space.faces)
     handles = torch.from_numpy(space.cage.handles)[None]
-    return surface.sample(handles, 400, torch.Generator().manual_seed(0)), surface, handles
-
-
-def test_samples_lie_on_the_surface_with_their_weights() -> None:
-    samples, surface, handles = flat_samples()
-    torch.testing.assert_close(samples.weights @ handles, samples.points)
-    _, nearest = surface.nearest(handles[0], samples.points[0].numpy())
-    torch.testing.assert_close(nearest, samples.points[0], rtol=0, atol=1e-12)
-    torch.testing.assert_close(samples.normals.norm(dim=-1), torch.ones(1, 400).double())
-    assert (samples.normals * samples.points).sum(-1).min() > 0  # outward, from a convex body
+    surface = Surface(space.weights, space.faces)
+    return surface.sample(handles, 400, torch.Generator().manual_seed(0))
 
 
 def test_normals_keep_the_faces_of_a_thin_plate_apart() -> None:
-    samples, _, _ = flat_samples()
+    samples = flat_samples()
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     point = torch.tensor([[0.0, 0.29, 0.0]], dtype=torch.float64)  # near the back (y = +0.29)
     facing = -up[None]  # but looking to the front
@@ -108,7 +108,7 @@ def test_normals_keep_the_faces_of_a_thin_plate_apart() -> None:
 
 
 def test_wall_rows_ask_thin_walls_to_be_thicker() -> None:
-    samples, _, handles = flat_samples()
+    samples, handles = flat_samples(), torch.from_numpy(design_space("box-12").cage.handles)[None]
     thickness = 14.0 / 24.0  # of the box, units
     assert wall_rows(samples, 0.8 * thickness, 1.0).importance.sum() == 0
     rows = wall_rows(samples, 1.5 * thickness, 1.0)
@@ -121,7 +121,7 @@ def test_wall_rows_ask_thin_walls_to_be_thicker() -> None:
 
 
 def test_closing_rows_push_back_what_protrudes() -> None:
-    samples, _, _ = flat_samples()
+    samples = flat_samples()
     rows = closing_rows(samples, plane=0.0, importance=2.0)
     beyond = samples.points[0, :, 1] < 0
     assert ((rows.importance[0] > 0) == beyond).all()
