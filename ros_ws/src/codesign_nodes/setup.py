@@ -5,6 +5,7 @@ NODES = [
     "fem_simulator",
     "finger_design",
     "policy",
+    "teleop",
     "trial_recorder",
     "trial_runner",
 ]
