@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from codesign_cli import demonstrations
+from codesign_cli import demonstrations, training
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Policies in the simulated control stage.", no_args_is_help=True)
 app.command()(demonstrations.demonstrate)
+app.command()(demonstrations.import_demonstrations)
+app.command()(demonstrations.export_demonstrations)
+for command in (training.train, training.finetune, training.evaluate, training.show):
+    app.command()(command)
 
 FASTEST = 5.0  # m/s; what lifts tofu at 0.2 m/s has no business being faster
 

@@ -46,6 +46,7 @@ from codesign_sim.simulator import CONTACT_STIFFNESS, SAFETY, STIFFNESS_DAMPING
 LAG = 0.08  # s: the servo's three lags of 20 ms and the simulated arm's two of 10 ms
 MIN_GAP = 0.010  # m
 TABLE_HEIGHT = 0.0  # m, in link_base
+LARGEST_POSE_ERROR = 0.02  # m
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class ControlConfig:
         weights: of the reward's components.
         domain: material and place that are fixed; what is NaN is drawn for every episode.
         friction: range that friction is drawn from.
+        pose_error: how far off the object is observed, horizontally, in a direction drawn for every
+            episode [m]: a camera's error of calibration.
         start: where the tool begins.
         lag: time constant with which the tool follows its commands [s].
         min_gap: smallest gap between the fingers' pads that can be commanded [m]; the gap itself
@@ -70,6 +73,7 @@ class ControlConfig:
     weights: RewardWeights = field(default_factory=RewardWeights)
     domain: TrialDomain = field(default_factory=TrialDomain)
     friction: tuple[float, float] = (FRICTION, FRICTION)
+    pose_error: float = 0.0
     start: ToolStart = field(default_factory=ToolStart)
     lag: float = LAG
     min_gap: float = MIN_GAP
@@ -111,12 +115,17 @@ class ControlEnv(VectorEnv):
                 for the stock fingers.
             config: settings.
             autoreset_mode: SAME_STEP or DISABLED.
+
         Raises:
             ValueError: a setting outside its range.
         """
         if autoreset_mode is AutoresetMode.NEXT_STEP:
             raise ValueError("autoreset_mode is NEXT_STEP: choose SAME_STEP or DISABLED")
         self.config = config = config or ControlConfig()
+        if not 0.0 <= config.pose_error <= LARGEST_POSE_ERROR:
+            raise ValueError(
+                f"pose_error is {config.pose_error} m: give 0 to {LARGEST_POSE_ERROR} m"
+            )
         self.num_envs = num_envs
         self.autoreset_mode = autoreset_mode
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
@@ -130,6 +139,7 @@ class ControlEnv(VectorEnv):
         self._episodes = np.full(num_envs, -1)
         self._ended = np.ones(num_envs, dtype=bool)
         self.episode_seeds = np.zeros(num_envs, dtype=np.int64)
+        self._pose_errors = np.zeros((num_envs, 3))
         self.domains = [config.domain] * num_envs
 
     def _make_simulator(self) -> None:
@@ -217,6 +227,7 @@ class ControlEnv(VectorEnv):
                 int(self._lane_seeds[lane]), int(self._episodes[lane])
             )
             self.domains[lane] = draw_domain(seed, self.config.domain, self.config.friction)
+            self._pose_errors[lane] = _pose_error(seed, self.config.pose_error)
         self._tool.reset(lanes, self.config.start)
         self._place_blocks(lanes)
         self._measured = measure(self.simulator)
@@ -305,7 +316,7 @@ class ControlEnv(VectorEnv):
         vectors = np.concatenate(
             [
                 self._tool.position,
-                self._measured.centre,
+                self._measured.centre + self._pose_errors,
                 self._tool.width[:, None],
                 stage,
                 np.array([pair.parameters for pair in self.fingers]).reshape(self.num_envs, -1),
@@ -322,6 +333,12 @@ def _material(domain: TrialDomain) -> Material:
         density=domain.density,
         friction=domain.friction,
     )
+
+
+def _pose_error(seed: int, length: float) -> NDArray[np.float64]:
+    """A horizontal vector of this length whose direction the seed draws, apart from the domain."""
+    angle = np.random.default_rng([seed, 1]).uniform(0.0, 2.0 * np.pi)
+    return length * np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
 def _surfaces(fingers: Sequence[FingerPair]) -> list[tuple[SurfaceMesh, SurfaceMesh]]:

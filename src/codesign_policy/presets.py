@@ -28,6 +28,8 @@ class Preset:
         design_temperature_range: bounds of an automatic design temperature.
         design_std: spread of the design actor at the start, before the tanh.
         design_std_range: its bounds.
+        imitation: weight of staying close to demonstrated actions, in units of the values' size;
+            it counts only where the critics think more of them than of the actor's own.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Preset:
     design_temperature_range: tuple[float, float]
     design_std: float
     design_std_range: tuple[float, float]
+    imitation: float
 
 
 # RLPD as published: Ball et al. 2023 and its code, github.com/ikostrikov/rlpd. The entropy
@@ -77,6 +80,7 @@ PUBLISHED = Preset(
     design_temperature_range=(1e-4, 1.0),
     design_std=0.15,
     design_std_range=(1e-4, 0.5),
+    imitation=0.0,
 )
 
 # For two cores, where the simulator is far faster than the learner: few small critics, and a
@@ -104,6 +108,7 @@ FAST = Preset(
     design_temperature_range=(0.01, 0.01),
     design_std=0.05,
     design_std_range=(0.02, 0.1),
+    imitation=1.0,
 )
 
 PRESETS = {preset.name: preset for preset in (PUBLISHED, FAST)}

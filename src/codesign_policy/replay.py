@@ -68,7 +68,11 @@ FIELDS = tuple(f.name for f in fields(Transitions))
 
 @dataclass(frozen=True)
 class Batch:
-    """B rows to learn from, as tensors; `weight` makes their weighted mean that of the buffers."""
+    """B rows to learn from, as tensors.
+
+    `weight` makes their weighted mean that of the buffers; `demonstrated` marks the rows of the
+    first of two buffers.
+    """
 
     observation: Tensor
     action: Tensor
@@ -77,6 +81,7 @@ class Batch:
     next_observation: Tensor
     terminated: Tensor
     weight: Tensor
+    demonstrated: Tensor
 
 
 class ReplayBuffer:
@@ -252,7 +257,7 @@ def sample_batch(
     """The same number of rows from each buffer: RLPD's symmetric sampling (section 4.1).
 
     Args:
-        buffers: offline demonstrations and online experience, or one of them.
+        buffers: demonstrations and experience in this order, or experience alone.
         size: of the batch; a multiple of the number of buffers.
         design_rows: how many of them are of the design stage, likewise.
         weights: of the reward's components.
@@ -267,7 +272,7 @@ def sample_batch(
             f"{size} rows, {design_rows} of the design stage, from {shares} buffers: use multiples"
         )
     parts: dict[str, list[NDArray[Any]]] = {f.name: [] for f in fields(Batch)}
-    for buffer in buffers:
+    for k, buffer in enumerate(buffers):
         index, weight = buffer.draw(size // shares, design_rows // shares, random)
         rows = buffer.rows
         for name in FIELDS:
@@ -275,6 +280,7 @@ def sample_batch(
                 parts[name].append(getattr(rows, name)[index])
         parts["reward"].append(buffer.reward(weights, index))
         parts["weight"].append(weight)
+        parts["demonstrated"].append(np.full(len(index), k < shares - 1))
     return Batch(**{name: torch.from_numpy(np.concatenate(part)) for name, part in parts.items()})
 
 

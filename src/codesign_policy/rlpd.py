@@ -228,10 +228,30 @@ class Agent:
         value = self.critics(observation, self._joint(stage, action)).mean(dim=0)
         temperature = self.temperatures[stage]
         loss = (weight * (temperature.value() * log_density - value)).sum()
+        if stage == "control" and self.preset.imitation:
+            loss = loss + self._imitation_loss(batch, rows, mean, value, log)
         entropy = -(weight * log_density.detach()).sum()
         log[f"{stage}_entropy"] = entropy.item()
         log[f"{stage}_temperature"] = temperature.value()
         return loss if temperature.target is None else loss + temperature.loss(entropy)
+
+    def _imitation_loss(
+        self, batch: Batch, rows: Tensor, mean: Tensor, value: Tensor, log: dict[str, float]
+    ) -> Tensor:
+        """Squared distance to demonstrated actions, where the critics think more of them.
+
+        The filter is that of Nair et al. 2018 (section V-B), the scale by the values' size that
+        of TD3+BC (Fujimoto and Gu 2021).
+        """
+        shown = batch.demonstrated[rows]
+        action = batch.action[rows]
+        with torch.no_grad():
+            theirs = self.critics(batch.observation[rows], action).mean(dim=0)
+            better = shown & (theirs > value)
+        log["imitated"] = (better.sum() / shown.sum().clamp(min=1)).item()
+        error = (torch.tanh(mean) - action[:, self.spaces.design :]).square().sum(-1)
+        scale = self.preset.imitation * value.detach().abs().mean()
+        return scale * (better * error).sum() / shown.sum().clamp(min=1)
 
     def _descend(self, name: str, loss: Tensor) -> float:
         """One step of an optimizer down this loss; gradients of other parameters are not made."""

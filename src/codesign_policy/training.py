@@ -25,6 +25,7 @@ from codesign_policy.checkpoint import (
     save_checkpoint,
 )
 from codesign_policy.files import write_text
+from codesign_policy.proposals import ActorProposals, Proposer
 from codesign_policy.replay import ReplayBuffer, sample_batch
 from codesign_policy.rlpd import Agent
 from codesign_policy.rounds import Array, Episodes, Played, play_round
@@ -89,6 +90,7 @@ class Training:
     Attributes:
         experience: what was gathered online.
         history: one row per round.
+        proposer: of designs; None where there is no design stage.
     """
 
     def __init__(
@@ -97,6 +99,7 @@ class Training:
         episodes: Episodes,
         config: TrainingConfig,
         demonstrations: ReplayBuffer | None = None,
+        proposer: Proposer | None = None,
     ) -> None:
         """
         Args:
@@ -105,6 +108,7 @@ class Training:
             episodes: where experience comes from.
             config: settings.
             demonstrations: half of every batch; None: a pure online run.
+            proposer: of designs, where there is a design stage; None: the agent's design actor.
 
         Raises:
             ValueError: sizes, reward components or weights that do not belong together.
@@ -118,8 +122,14 @@ class Training:
                 raise ValueError(f"demonstrations of {buffer.spaces}: the agent has {agent.spaces}")
             buffer.reward(config.reward_weights)
         self.history: list[dict[str, float]] = []
+        self.proposer = proposer or self._actor_proposals()
         self._random = np.random.default_rng([config.seed, 1])
         self._rounds = self._transitions = self._updates = 0
+
+    @property
+    def transitions(self) -> int:
+        """Of the control stage so far."""
+        return self._transitions
 
     @property
     def done(self) -> bool:
@@ -156,6 +166,10 @@ class Training:
         if folder:
             self.save(folder)
 
+    def act(self, observation: Array) -> Array:
+        """The policy's mean actions (n, 7) for observations (n, o)."""
+        return self.agent.act(observation, explore=False)
+
     # ---------------------------------------------------------------- a round
 
     @property
@@ -174,23 +188,24 @@ class Training:
             self._learn(losses)
             learning += time.perf_counter() - start
 
-        designs = self._propose()
+        designs = self.proposer.propose() if self.proposer else None
         seed = np.random.SeedSequence([self.config.seed, self._rounds]).generate_state(1)[0]
         played = play_round(
             self.episodes, int(seed % 2**31), self._act, self.experience, designs, learn
         )
+        if self.proposer:
+            self.proposer.judge(played.metrics)
         self._rounds += 1
         total = time.perf_counter() - began
         seconds = {"simulation": played.simulation_seconds, "updates": learning}
         seconds["rest"] = total - sum(seconds.values())
         return self._progress(played, losses, designs, seconds)
 
-    def _propose(self) -> Array | None:
-        """Designs of the round, (E, D)."""
-        if self.episodes.design_observation is None:
+    def _actor_proposals(self) -> Proposer | None:
+        observation = self.episodes.design_observation
+        if observation is None:
             return None
-        lanes = self.episodes.environment.num_envs
-        return self.agent.propose_designs(np.tile(self.episodes.design_observation, (lanes, 1)))
+        return ActorProposals(self.agent, observation, self.episodes.environment.num_envs)
 
     def _act(self, observation: Array) -> Array:
         if self.agent.updates:
@@ -248,6 +263,7 @@ class Training:
             "agent": self.agent.state(),
             "experience": self.experience.state(),
             "demonstrations": demonstrations.state() if demonstrations is not None else None,
+            "proposer": self.proposer.state() if self.proposer else {},
             "random": random_state(self._random),
             "counts": [self._rounds, self._transitions, self._updates],
             "history": self.history,
@@ -273,6 +289,8 @@ class Training:
         self.experience.restore(state["experience"])
         if self.demonstrations is not None:
             self.demonstrations.restore(state["demonstrations"])
+        if self.proposer:
+            self.proposer.restore(state["proposer"])
         restore_random(self._random, state["random"])
         self._rounds, self._transitions, self._updates = state["counts"]
         self.history = list(state["history"])

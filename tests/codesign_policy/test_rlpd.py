@@ -28,6 +28,7 @@ def batch(in_control: list[bool], seed: int = 0, **change: torch.Tensor) -> Batc
         next_observation=torch.randn(count, 4, generator=random),
         terminated=torch.zeros(count, dtype=torch.bool),
         weight=torch.ones(count),
+        demonstrated=torch.zeros(count, dtype=torch.bool),
     )
     return replace(rows, **change)
 
@@ -257,3 +258,45 @@ def test_restoring_other_shapes_is_refused_by_name() -> None:
         Agent(SPACES, replace(SMALL, hidden=(16,)), 0).restore(state)
     with pytest.raises(ValueError, match=r"design_actor\.log_std: stored \(3,\), .* \(6,\)"):
         Agent(Spaces(1, 6, 2), SMALL, 0).restore(state)
+
+
+class Parabola(torch.nn.Module):
+    """Two critics that value an action by its distance to one."""
+
+    def __init__(self, best: torch.Tensor) -> None:
+        super().__init__()
+        self.best = best
+
+    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        value = -(action[:, 3:] - self.best).square().sum(-1)
+        return value.expand(2, -1)
+
+
+def imitation(agent: Agent, rows: Batch) -> tuple[torch.Tensor, dict[str, float]]:
+    """The loss of a controller that answers 0 everywhere."""
+    log: dict[str, float] = {}
+    mean = torch.zeros(len(rows.reward), 2)
+    value = agent.critics(rows.observation, torch.zeros(len(rows.reward), 5)).mean(dim=0)
+    chosen = torch.ones(len(rows.reward), dtype=torch.bool)
+    return agent._imitation_loss(rows, chosen, mean, value, log), log
+
+
+def test_demonstrated_actions_count_where_critics_prefer_them() -> None:
+    """Of four rows the first two are shown; the critics like the first better than 0, not both."""
+    agent = Agent(SPACES, replace(SMALL, imitation=2.0), 0)
+    best = torch.tensor([0.5, 0.0])
+    agent.critics = Parabola(best)  # type: ignore[assignment]
+    action = torch.zeros(4, 5)
+    action[:, 3:] = torch.tensor([[0.4, 0.0], [-0.5, 0.0], [0.4, 0.0], [0.5, 0.0]])
+    rows = batch([True] * 4, action=action, demonstrated=torch.tensor([True, True, False, False]))
+    loss, log = imitation(agent, rows)
+    # weight 2, size of values 0.25, squared distance 0.16 of one of two rows
+    assert loss.item() == pytest.approx(2.0 * 0.25 * 0.16 / 2)
+    assert log["imitated"] == 0.5
+
+
+def test_nothing_is_imitated_without_demonstrations() -> None:
+    agent = Agent(SPACES, replace(SMALL, imitation=2.0), 0)
+    agent.critics = Parabola(torch.tensor([0.5, 0.0]))  # type: ignore[assignment]
+    loss, log = imitation(agent, batch([True] * 4))
+    assert (loss.item(), log["imitated"]) == (0.0, 0.0)

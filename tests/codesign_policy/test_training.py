@@ -16,6 +16,7 @@ from toy_task import BEST, BEST_RETURN, COMPONENTS, SPACES, STEPS, WEIGHTS, ToyE
 from codesign_policy.checkpoint import load_checkpoint
 from codesign_policy.interruption import Interruption
 from codesign_policy.presets import FAST
+from codesign_policy.proposals import DesignSearch, SearchSettings
 from codesign_policy.replay import FIELDS, ReplayBuffer, Spaces
 from codesign_policy.rlpd import Agent, LearningError
 from codesign_policy.rounds import Episodes, play_round
@@ -23,6 +24,7 @@ from codesign_policy.tensorboard_log import TensorBoardLog
 from codesign_policy.training import Progress, Training, TrainingConfig
 
 QUICK = replace(FAST, hidden=(16,), batch_size=16, design_rows=4, start_transitions=40)
+METRICS = ("success", "peak_lift", "top10_stress", "median_stress")
 CONFIG = TrainingConfig(transitions=160, reward_weights=WEIGHTS, seed=1, capacity=1000)
 
 
@@ -45,8 +47,8 @@ def demonstrations() -> ReplayBuffer:
     return buffer
 
 
-def training(lanes: int = 8, **change: Any) -> Training:
-    agent = Agent(SPACES, QUICK, 0)
+def training(lanes: int = 8, agent_seed: int = 0, **change: Any) -> Training:
+    agent = Agent(SPACES, QUICK, agent_seed)
     return Training(agent, toy_episodes(lanes), replace(CONFIG, **change), demonstrations())
 
 
@@ -147,12 +149,40 @@ def test_resuming_equals_never_having_stopped(tmp_path: Path, capacity: int) -> 
     begun = training(capacity=capacity)
     begun.run(tmp_path, stop=lambda: len(begun.history) == 2)
     assert not begun.done
-    resumed = training(capacity=capacity)
-    resumed.agent = Agent(SPACES, QUICK, 77)  # its own start must not matter
+    resumed = training(capacity=capacity, agent_seed=77)  # its own start must not matter
     resumed.restore(load_checkpoint(tmp_path))
     resumed.run(tmp_path)
     equal(whole, resumed)
     assert len(whole.history) == 4
+
+
+class Graded(ToyEnv):
+    """Ends with the metrics that a search for designs looks at."""
+
+    def step(self, actions: np.ndarray) -> Any:
+        *rest, info = super().step(actions)
+        if "final_info" in info:
+            away = ((self._designs - BEST) ** 2).sum(axis=1)
+            stress = {"top10_stress": 1e3 * away, "median_stress": 1e2 * away}
+            info["final_info"] |= {"peak_lift": np.full(self.num_envs, 0.1), **stress}
+        return *rest, info
+
+
+def test_a_resumed_search_for_designs_equals_an_uninterrupted_one(tmp_path: Path) -> None:
+    def searching() -> Training:
+        search = DesignSearch(
+            np.zeros((1, 2)), 8, SearchSettings(rounds=1, survey=1, patience=1), seed=4
+        )
+        episodes = Episodes(Graded(8), COMPONENTS, METRICS, np.zeros(5, np.float32))
+        return Training(Agent(SPACES, QUICK, 0), episodes, CONFIG, demonstrations(), search)
+
+    whole = searching()
+    whole.run()
+    begun, resumed = searching(), searching()
+    begun.run(tmp_path, stop=lambda: len(begun.history) == 3)
+    resumed.restore(load_checkpoint(tmp_path))
+    resumed.run()
+    equal(whole, resumed)
 
 
 def test_a_finished_run_may_be_given_a_larger_budget(tmp_path: Path) -> None:

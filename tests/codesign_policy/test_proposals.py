@@ -1,0 +1,104 @@
+"""The search for designs, on outcomes with a known optimum."""
+
+import numpy as np
+import pytest
+
+from codesign_policy.proposals import DESIGN_BOUND, DesignSearch, SearchSettings, fitness
+
+LANES = 12
+SETTINGS = SearchSettings(rounds=2, survey=3, spread=0.05, patience=2)
+SHOWN = np.array([[0.5, 0.0, 0.0, 0.0], [0.0, 0.4, 0.1, 0.0], [-0.5, 0.0, 0.0, 0.3]])
+OPTIMUM = np.array([0.05, 0.3, 0.1, -0.1])  # near the second one
+
+
+def search(seed: int = 0) -> DesignSearch:
+    return DesignSearch(SHOWN, LANES, SETTINGS, seed)
+
+
+def outcome(designs: np.ndarray) -> dict[str, np.ndarray]:
+    """All succeed; stress grows with the squared distance to the optimum."""
+    away = ((designs - OPTIMUM) ** 2).sum(axis=1)
+    return {
+        "success": np.ones(len(designs)),
+        "peak_lift": np.full(len(designs), 0.1),
+        "top10_stress": 500.0 + 500.0 * away,
+        "median_stress": 200.0 + 500.0 * away,
+    }
+
+
+def play(found: DesignSearch, rounds: int) -> None:
+    for _ in range(rounds):
+        found.judge(outcome(found.propose()))
+
+
+def test_the_survey_shows_every_demonstration_and_scatters_around_it() -> None:
+    designs = search().propose()
+    np.testing.assert_array_equal(designs[:3], SHOWN.astype(np.float32))
+    away = designs[3:] - SHOWN[np.arange(3, LANES) % 3]
+    # 36 normal numbers: their root mean square is within 3 sigma / sqrt(72) of the spread.
+    assert np.sqrt((away**2).mean()) == pytest.approx(SETTINGS.spread, rel=0.36)
+
+
+def test_a_generation_is_kept_for_its_rounds() -> None:
+    found = search()
+    first = found.propose()
+    play(found, 1)
+    np.testing.assert_array_equal(found.propose(), first)
+    play(found, 1)
+    assert not np.array_equal(found.propose(), first)
+    assert len(found.generations) == 1
+
+
+def test_it_goes_on_from_the_demonstration_that_does_best() -> None:
+    found = search()
+    play(found, SETTINGS.rounds * SETTINGS.survey)
+    np.testing.assert_allclose(found.centre, SHOWN[1], atol=1e-6)
+    around = found.propose() - SHOWN[1]
+    assert np.abs(around).max() < 5 * SETTINGS.spread
+
+
+def test_it_finds_the_optimum() -> None:
+    found = search()
+    play(found, SETTINGS.rounds * (SETTINGS.survey + 40))
+    # The demonstration is 0.15 away from it.
+    assert np.linalg.norm(found.centre - OPTIMUM) < 0.01
+    best = found.best(3)
+    assert len(best) == 3
+    assert all(np.linalg.norm(design - OPTIMUM) < 0.05 for design in best)
+
+
+def test_designs_stay_within_their_bounds() -> None:
+    shown = np.full((1, 4), 0.89)
+    found = DesignSearch(shown, LANES, SETTINGS, 1)
+    for _ in range(20):
+        designs = found.propose()
+        assert np.abs(designs).max() <= DESIGN_BOUND + 1e-6
+        found.judge(outcome(-designs))
+
+
+@pytest.mark.parametrize("rounds", [1, 5, 9])  # within the survey, and within the search
+def test_a_restored_search_goes_on_alike(rounds: int) -> None:
+    whole, again = search(), search()
+    play(whole, rounds)
+    again.restore(whole.state())
+    for _ in range(6):
+        np.testing.assert_array_equal(again.propose(), whole.propose())
+        play(whole, 1)
+        play(again, 1)
+
+
+def test_fitness_is_success_lift_and_stress() -> None:
+    found = fitness(
+        {
+            "success": np.array([1.0, 0.0, 0.0, 0.0]),
+            "peak_lift": np.array([0.1, 0.04, 0.0, np.nan]),
+            "top10_stress": np.array([600.0, 900.0, 9000.0, np.nan]),
+            "median_stress": np.array([200.0, 500.0, 900.0, np.nan]),
+        }
+    )
+    np.testing.assert_allclose(found, [1.5 - 0.4, 0.25 - 0.7, -1.0, -1.0])
+
+
+def test_more_demonstrations_than_lanes_are_refused() -> None:
+    with pytest.raises(ValueError, match="3 demonstrated designs for 2 lanes"):
+        DesignSearch(SHOWN, 2, SETTINGS, 0)
