@@ -10,7 +10,13 @@ from codesign_design import mount as stock_mount
 from codesign_design.finger_pair import MOUNT_FACE, FingerPair, TriangleMesh
 from codesign_design.gripper_check import check_gripper
 from codesign_design.gripper_geometry import usable_gap
-from codesign_design.mesh_checks import MeshChecks, check_mesh, edge_checks, volume_and_centre
+from codesign_design.mesh_checks import (
+    MeshChecks,
+    check_mesh,
+    edge_checks,
+    is_valid,
+    volume_and_centre,
+)
 from codesign_design.mount import MAX_DEPTH, Mounted, mount_finger
 from codesign_design.mount_check import check_mount
 from codesign_design.printability import Deviation, PrintReport, check_printing
@@ -113,7 +119,7 @@ def _candidates(surface: TriangleMesh) -> Iterator[tuple[TriangleMesh, Repaired 
 
     The union with the mount can spoil a valid surface whose faces touch it edge on.
     """
-    if check_mesh(surface).valid:
+    if is_valid(surface):
         yield surface, None
     repaired = repair(surface, MAX_DEPTH)
     for iterations in SMOOTHING:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codesign_design.finger_pair import TriangleMesh
-from codesign_design.self_intersection import self_intersecting_faces
+from codesign_design.self_intersection import intersects_itself, self_intersecting_faces
 
 
 def surface(mesh: trimesh.Trimesh) -> TriangleMesh:
@@ -82,3 +82,4 @@ def test_equals_a_test_of_every_pair(seed: int) -> None:
             if igl.tri_tri_intersection_test_3d(*a, *b)[0]:
                 hit |= {i, j}
     assert self_intersecting_faces(soup).tolist() == sorted(hit)
+    assert intersects_itself(soup) == bool(hit)
