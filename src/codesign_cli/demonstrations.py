@@ -1,9 +1,10 @@
-"""`codesign policy demonstrate`: experts' designs in a design space, and a grasp with each."""
+"""`codesign policy demonstrate`, `import-demonstrations`, `export-demonstrations`."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +12,13 @@ import typer
 
 if TYPE_CHECKING:
     from codesign_policy.demonstrations import Demonstrations
+
+
+class Format(StrEnum):
+    """Formats of others."""
+
+    lerobot = "lerobot"
+    minari = "minari"
 
 
 def demonstrate(
@@ -59,6 +67,65 @@ def demonstrate(
     _print(made, out, as_json)
 
 
+def import_demonstrations(
+    bags: Annotated[list[Path], typer.Argument(help="Recorded trials: rosbag2 folders.")],
+    out: Annotated[Path, typer.Option(help="Folder to write: a Minari dataset.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Import demonstrations from recorded trials, of a person at the controls or of a policy.
+
+    All bags must be trials that succeeded in the simulator, with fingers of one design space.
+
+    Exit codes: 0 done, 2 a bag that cannot be used: nothing is written.
+
+    Example: codesign policy import-demonstrations runs/shown/mine-seed* --out runs/mine
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from codesign_report.bag_demonstrations import import_demonstrations as read
+
+    try:
+        with Progress(console=Console(stderr=True), transient=True) as progress:
+            task = progress.add_task("reading bags", total=1.0)
+            made = read(bags, lambda share: progress.update(task, completed=share))
+        command = f"codesign policy import-demonstrations {' '.join(bag.name for bag in bags)}"
+        replace(made, made_by=command).save(out, "recorded-v0")
+    except (ValueError, OSError) as error:
+        typer.echo(f"import-demonstrations: {error}", err=True)
+        raise typer.Exit(2) from None
+    _print(made, out, as_json)
+
+
+def export_demonstrations(
+    source: Annotated[
+        str, typer.Argument(help="A design space whose demonstrations are shipped, or a folder.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    form: Annotated[Format, typer.Option("--format", help="What to write.")] = Format.lerobot,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Export demonstrations: as a LeRobot dataset (format v3.0), or copied as the Minari dataset.
+
+    Exit codes: 0 done, 2 bad input: nothing is written.
+
+    Example: codesign policy export-demonstrations lip-12 --format lerobot --out runs/lip-12-lerobot
+    """
+    from codesign_policy.demonstrations import demonstrations_path, load_demonstrations
+    from codesign_policy.lerobot_export import export_lerobot
+
+    try:
+        made = load_demonstrations(demonstrations_path(source))
+        if form is Format.lerobot:
+            export_lerobot(made, out)
+        else:
+            made.save(out)
+    except (ValueError, OSError) as error:
+        typer.echo(f"export-demonstrations: {error}", err=True)
+        raise typer.Exit(2) from None
+    _print(made, out, as_json)
+
+
 def _print(made: Demonstrations, out: Path, as_json: bool) -> None:
     rows: list[dict[str, Any]] = [
         {
@@ -67,7 +134,7 @@ def _print(made: Demonstrations, out: Path, as_json: bool) -> None:
             "median_stress_pa": episode.median_stress,
             "gap_mm": 1e3 * episode.width,
             "gaps_that_hold": episode.gaps_that_hold,
-            "chamfer_mm": 1e3 * episode.chamfer,
+            "chamfer_mm": None if episode.chamfer is None else 1e3 * episode.chamfer,
         }
         for episode in made.episodes
     ]
@@ -80,5 +147,11 @@ def _print(made: Demonstrations, out: Path, as_json: bool) -> None:
 
     table = Table(*(name.replace("_", " ") for name in rows[0]), title=f"{made.space}: {out}")
     for row in rows:
-        table.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()))
+        table.add_row(*(_shown(value) for value in row.values()))
     Console().print(table)
+
+
+def _shown(value: float | str | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
