@@ -2,6 +2,7 @@
 
 from codesign_control.arm_model import ArmModel, ArmModelConfig
 from codesign_control.config import ServoConfig
+from codesign_control.finger_reach import FingerReach
 from codesign_control.gripper import G1, G2, GripperModel, GripperMotion, GripperSpec
 from codesign_control.pose import Pose
 from codesign_control.servo import (
@@ -22,6 +23,7 @@ __all__ = [
     "ArmModel",
     "ArmModelConfig",
     "CartesianServo",
+    "FingerReach",
     "GoalState",
     "GripperModel",
     "GripperMotion",

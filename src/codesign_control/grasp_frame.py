@@ -20,6 +20,18 @@ def grasp_pose(arm: Xarm7, gripper: GripperModel, q: np.ndarray, width: float) -
     return Pose.from_se3(tcp * _shift(gripper.finger_z(gripper.clip(width))))
 
 
+def displaced_grasp(
+    tcp: Pose, gripper: GripperModel, translation: np.ndarray, rotation: np.ndarray, width: float
+) -> Pose:
+    """Where the grasp frame of `link_tcp` at `tcp` and a gap [m] is after a displacement.
+
+    translation, rotation: in base axes, (3,) [m] and (3,) rotation vector [rad].
+    """
+    grasp = tcp.to_se3() * _shift(gripper.finger_z(gripper.clip(width)))
+    moved = pin.SE3(pin.exp3(rotation) @ grasp.rotation, grasp.translation + translation)
+    return Pose.from_se3(moved)
+
+
 def tcp_translation(
     tcp: Pose,
     gripper: GripperModel,
@@ -34,11 +46,9 @@ def tcp_translation(
     translation, rotation: of the grasp frame in base axes, (3,) [m] and (3,) rotation vector [rad].
     width_before, width_after: gap over the same time [m].
     """
-    start = tcp.to_se3()
-    grasp = start * _shift(gripper.finger_z(gripper.clip(width_before)))
-    moved = pin.SE3(pin.exp3(rotation) @ grasp.rotation, grasp.translation + translation)
+    moved = displaced_grasp(tcp, gripper, translation, rotation, width_before).to_se3()
     end = moved * _shift(gripper.finger_z(gripper.clip(width_after))).inverse()
-    return np.asarray(end.translation - start.translation)
+    return np.asarray(end.translation - tcp.position)
 
 
 def _shift(z: float) -> pin.SE3:

@@ -35,6 +35,7 @@ from std_srvs.srv import SetBool, Trigger
 from codesign_control import (
     ActionRejected,
     CartesianServo,
+    FingerReach,
     GoalState,
     GripperModel,
     MoveRejected,
@@ -44,7 +45,7 @@ from codesign_control import (
     ServoState,
     Xarm7,
 )
-from codesign_control.grasp_frame import grasp_pose, tcp_translation
+from codesign_control.grasp_frame import displaced_grasp, grasp_pose, tcp_translation
 from codesign_nodes import messages, qos
 from codesign_nodes.mounted import mounted
 from codesign_nodes.node_tools import (
@@ -56,7 +57,7 @@ from codesign_nodes.node_tools import (
     stamp_of,
     steady_clock,
 )
-from codesign_policy.task import MAX_WIDTH_CHANGE, POLICY_PERIOD
+from codesign_policy.task import MAX_TRANSLATION, MAX_WIDTH_CHANGE, POLICY_PERIOD
 
 ACTION_PERIOD_NS = round(POLICY_PERIOD * 1e9)
 STATUS_PERIOD = 0.05  # s
@@ -84,7 +85,8 @@ class CartesianController(LeanNode):
         self._arm = Xarm7()
         self._servo = CartesianServo(self._arm, self._config)
         self._gripper = GripperModel()
-        self._next_gripper: GripperModel | None = None
+        self._reach: FingerReach | None = None
+        self._next_fingers: tuple[GripperModel, FingerReach] | None = None
         self._joint_state: JointState | None = None
         self._gripper_state: GripperState | None = None
         self._measured: np.ndarray | None = None
@@ -120,7 +122,7 @@ class CartesianController(LeanNode):
 
     def _declare_config(self) -> ServoConfig:
         d = ServoConfig()
-        table = declare(
+        self._table_height = table = declare(
             self, "table_height", 0.0, "z of the table in link_base [m]", low=-0.5, high=0.5
         )
         return ServoConfig(
@@ -359,19 +361,21 @@ class CartesianController(LeanNode):
 
     def _on_design(self, message: FingerDesign) -> None:
         try:
-            gripper = mounted(messages.design_from(message))
+            fingers = messages.design_from(message)
+            gripper = mounted(fingers)
         except ValueError as error:
             self._reject(str(error))
             return
         with self._lock:
-            self._next_gripper = gripper
+            reach = FingerReach(fingers.left.vertices, fingers.right.vertices)
+            self._next_fingers = gripper, reach
             self._change_fingers()
 
     def _change_fingers(self) -> None:
         """Never in the middle of a trial: the grasp frame would jump."""
         follows = self._servo.state in (ServoState.READY, ServoState.MOVING, ServoState.HALTED)
-        if self._next_gripper is not None and not follows:
-            self._gripper, self._next_gripper = self._next_gripper, None
+        if self._next_fingers is not None and not follows:
+            (self._gripper, self._reach), self._next_fingers = self._next_fingers, None
 
     # --- lockstep
 
@@ -442,6 +446,7 @@ class CartesianController(LeanNode):
         before = self._gap_target()
         after = self._gripper.clip(before + message.width)
         if np.isfinite(translation).all() and np.isfinite(rotation).all():
+            translation = self._above_table(translation, rotation, before, after)
             translation = tcp_translation(
                 self._servo.reference_pose, self._gripper, translation, rotation, before, after
             )
@@ -450,6 +455,19 @@ class CartesianController(LeanNode):
         self._width_target = after
         self._width_speed = max(abs(after - before) / POLICY_PERIOD, MIN_GRIPPER_SPEED)
         self._last_action = message
+
+    def _above_table(
+        self, translation: np.ndarray, rotation: np.ndarray, before: float, after: float
+    ) -> np.ndarray:
+        """The translation, raised where fingers would go into the table, by one action at most."""
+        if self._reach is None:
+            return translation
+        tcp = self._servo.reference_pose
+        grasp = displaced_grasp(tcp, self._gripper, translation, rotation, before)
+        sunk = self._table_height - self._reach.lowest(grasp, after)
+        raised = translation.copy()
+        raised[2] += np.clip(sunk, 0.0, max(MAX_TRANSLATION - translation[2], 0.0))
+        return raised
 
     def _reject(self, why: str) -> None:
         self._rejected += 1

@@ -344,7 +344,13 @@ class FemSimulator(LeanNode):
 
     # --- input
 
+    def _is_old(self, message: Any) -> bool:
+        """Lockstep: an answer to another tick, which was still on its way at a reset."""
+        return self._lockstep and nanoseconds(message.header.stamp) != self._tick * TICK_NS
+
     def _on_joint_command(self, message: JointCommand) -> None:
+        if self._is_old(message):
+            return
         try:
             if self._lockstep:
                 self._cell.command_joints(np.array(message.position))
@@ -358,6 +364,8 @@ class FemSimulator(LeanNode):
             self._advance_if_ready()
 
     def _on_gripper_command(self, message: GripperCommand) -> None:
+        if self._is_old(message):
+            return
         try:
             self._cell.command_width(message.width, message.speed)
         except ValueError as error:
