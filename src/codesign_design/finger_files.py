@@ -20,7 +20,7 @@ import numpy as np
 
 from codesign_design.build import BuiltFinger
 from codesign_design.export.convex import convex_pieces
-from codesign_design.export.distance_grid import npz_bytes
+from codesign_design.export.distance_grid import distance_grid
 from codesign_design.export.robots import FingerFiles, mjcf_text, urdf_text
 from codesign_design.export.surfaces import obj_text, print_plate, stl_bytes
 from codesign_design.finger_pair import FingerPair, TriangleMesh
@@ -129,16 +129,17 @@ def _meshes(pair: FingerPair) -> bytes:
 def _simulator_files(pair: FingerPair) -> dict[str, str | bytes]:
     left_pieces = convex_pieces(pair.left)
     right_pieces = [piece.mirrored_y() for piece in left_pieces]
+    grid = distance_grid(pair.left)
     files: dict[str, str | bytes] = {}
     fingers = []
-    for name, mesh, pieces, outward in (
-        ("left", pair.left, left_pieces, 1),
-        ("right", pair.right, right_pieces, -1),
+    for name, mesh, pieces, distances, outward in (
+        ("left", pair.left, left_pieces, grid, 1),
+        ("right", pair.right, right_pieces, grid.mirrored_y(), -1),
     ):
         paths = [f"pieces/{name}_{number}.obj" for number in range(len(pieces))]
         for path, piece in zip(paths, pieces, strict=True):
             files[path] = obj_text(piece, Path(path).stem)
-        files[f"{name}_sdf.npz"] = npz_bytes(mesh)
+        files[f"{name}_sdf.npz"] = distances.npz()
         fingers.append(FingerFiles(name, mesh, f"{name}.obj", paths, outward))
     files["fingers.urdf"] = urdf_text(pair, fingers)
     files["fingers.xml"] = mjcf_text(pair, fingers)

@@ -171,12 +171,17 @@ def test_urdf_and_convex_pieces_cover_the_finger(flat: BuiltFinger, folder: Path
         )
 
 
-def test_distance_grid_holds_the_volume(flat: BuiltFinger, folder: Path) -> None:
-    with np.load(folder / "left_sdf.npz") as grid:
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_distance_grid_holds_volume_and_place(flat: BuiltFinger, folder: Path, side: str) -> None:
+    with np.load(folder / f"{side}_sdf.npz") as grid:
         assert str(grid["unit"]) == "m"
-        values, spacing = grid["values"], float(grid["spacing"])
+        values, spacing, origin = grid["values"], float(grid["spacing"]), grid["origin"]
     inside = np.clip(0.5 - values / spacing, 0.0, 1.0)  # a cell's share, to first order
     assert inside.sum() * spacing**3 == pytest.approx(flat.report.mesh.volume, rel=0.02)
+    middle = [np.average(index, weights=inside) for index in np.indices(inside.shape)]
+    centre = origin + spacing * np.array(middle[::-1])
+    expected = np.array(flat.report.mesh.centre_of_mass) * [1, 1 if side == "left" else -1, 1]
+    np.testing.assert_allclose(centre, expected, atol=2e-4)
 
 
 def test_build_command_on_parameters_and_on_a_surface(tmp_path: Path) -> None:

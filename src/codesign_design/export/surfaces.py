@@ -2,7 +2,7 @@
 
 import zipfile
 from io import BytesIO
-from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import trimesh
@@ -48,24 +48,24 @@ def obj_text(mesh: TriangleMesh, name: str) -> str:
 
 def print_plate(pair: FingerPair) -> bytes:
     """3MF in millimetres: both fingers side by side, mount faces on the bed."""
-    model = ElementTree.Element("model", unit="millimeter", xmlns=_3MF)
-    resources = ElementTree.SubElement(model, "resources")
-    build = ElementTree.SubElement(model, "build")
     width = float(np.ptp(pair.left.vertices[:, 0])) * MM
-    for number, (name, mesh) in enumerate((("left", pair.left), ("right", pair.right)), start=1):
-        item = ElementTree.SubElement(
-            resources, "object", id=str(number), type="model", name=f"{pair.name} {name}".strip()
-        )
-        turned = _mount_down(mesh.vertices * MM, upward=-1.0 if name == "left" else 1.0)
+    objects, items = "", ""
+    for number, (side, mesh) in enumerate((("left", pair.left), ("right", pair.right)), start=1):
+        turned = _mount_down(mesh.vertices * MM, upward=-1.0 if side == "left" else 1.0)
         turned[:, 0] += (number - 1) * (width + _BED_GAP) - turned[:, 0].min()
-        _add_mesh(item, turned, mesh.faces)
-        ElementTree.SubElement(build, "item", objectid=str(number))
-    content = ElementTree.tostring(model, encoding="UTF-8", xml_declaration=True)
+        name = quoteattr(f"{pair.name} {side}".strip())
+        content = _mesh_element(turned, mesh.faces)
+        objects += f'<object id="{number}" type="model" name={name}>{content}</object>'
+        items += f'<item objectid="{number}"/>'
+    model = (
+        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xmlns="{_3MF}">'
+        f"<resources>{objects}</resources><build>{items}</build></model>"
+    )
     buffer = BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("[Content_Types].xml", _CONTENT_TYPES)
         archive.writestr("_rels/.rels", _RELATIONSHIPS)
-        archive.writestr("3D/3dmodel.model", content)
+        archive.writestr("3D/3dmodel.model", model)
     return buffer.getvalue()
 
 
@@ -76,13 +76,10 @@ def _mount_down(vertices: NDArray[np.float64], upward: float) -> NDArray[np.floa
     return turned - [0.0, turned[:, 1].min(), turned[:, 2].min()]
 
 
-def _add_mesh(
-    item: ElementTree.Element, vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> None:
-    mesh = ElementTree.SubElement(item, "mesh")
-    points = ElementTree.SubElement(mesh, "vertices")
-    for x, y, z in vertices.round(_DIGITS).tolist():
-        ElementTree.SubElement(points, "vertex", x=repr(x), y=repr(y), z=repr(z))
-    triangles = ElementTree.SubElement(mesh, "triangles")
-    for a, b, c in faces.tolist():
-        ElementTree.SubElement(triangles, "triangle", v1=str(a), v2=str(b), v3=str(c))
+def _mesh_element(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> str:
+    points = (f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in vertices.round(_DIGITS).tolist())
+    triangles = (f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces.tolist())
+    return (
+        f"<mesh><vertices>{''.join(points)}</vertices>"
+        f"<triangles>{''.join(triangles)}</triangles></mesh>"
+    )
