@@ -1,12 +1,14 @@
 # make demo   pick up tofu three times, leave a report in runs/demo/
 # make test   lint, types and all tests
-.PHONY: help setup demo test lint clean
+# make codesign   train a finger and its control from nothing
+.PHONY: help setup demo test codesign lint clean
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 
 help:
 	@echo "make demo    set up if needed, pick up tofu over the ROS 2 graph, write runs/demo/report.html"
 	@echo "make test    set up if needed, lint, check types, run all tests"
+	@echo "make codesign  train finger and control from nothing, and the stock gripper beside it"
 	@echo "make setup   only set up: .venv/, dependencies, the colcon workspace"
 	@echo "make clean   remove what set-up and runs have made"
 
@@ -15,6 +17,9 @@ setup:
 
 demo: setup
 	@. scripts/env.sh && codesign demo
+
+codesign: setup
+	@. scripts/env.sh && bash scripts/codesign.sh
 
 test: setup lint
 	@. scripts/env.sh && python -m pytest tests

@@ -98,7 +98,8 @@ def bench(
     ] = 5.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Measure the learner: updates of the critics per CPU second, one thread, each preset.
+    """Measure the learner: updates of the critics per CPU second for each preset, and a run's
+    environment steps per second with the shares of simulation, updates and the rest. One thread.
 
     Example: codesign policy bench --json
     """
@@ -109,18 +110,22 @@ def bench(
     from rich.table import Table
 
     from codesign_policy.presets import PRESETS
+    from codesign_policy.training_bench import measure_training
     from codesign_policy.update_bench import measure
 
     columns = (TextColumn("{task.description:>10}"), BarColumn(), TimeRemainingColumn())
     rates = []
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=len(PRESETS))
+        task = progress.add_task("", total=len(PRESETS) + 1)
         for preset in PRESETS.values():
             progress.update(task, description=preset.name)
             rates.append(measure(preset, seconds))
             progress.advance(task)
+        progress.update(task, description="training")
+        training = measure_training()
     if as_json:
-        typer.echo(json.dumps({"rates": [asdict(rate) for rate in rates]}, indent=2))
+        results = {"rates": [asdict(rate) for rate in rates], "training": asdict(training)}
+        typer.echo(json.dumps(results, indent=2))
         return
     table = Table("preset", "updates/CPU s", "CPU ms/update", "transitions/CPU s")
     for column in table.columns[1:]:
@@ -132,7 +137,13 @@ def bench(
             f"{rate.cpu_ms_per_update:.2f}",
             f"{rate.transitions_per_cpu_second:.1f}",
         )
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    console.print(
+        f"co-design in {training.space}, {training.preset}, {training.lanes} lanes: "
+        f"{training.environment_steps_per_second:.0f} environment steps/s; simulation "
+        f"{training.simulation:.0%}, updates {training.updates:.0%}, rest {training.rest:.0%}"
+    )
 
 
 def _environment(envs: int, processes: int, tets: int, near: bool) -> VectorEnv:

@@ -30,6 +30,9 @@ class Preset:
         design_std_range: its bounds.
         imitation: weight of staying close to demonstrated actions, in units of the values' size;
             it counts only where the critics think more of them than of the actor's own.
+        cloning: steps of behaviour cloning before the run, where there are demonstrations.
+        actor_start: updates of the critics before the first one of the actors: critics that know
+            nothing yet must not undo what was cloned.
     """
 
     name: str
@@ -53,6 +56,8 @@ class Preset:
     design_std: float
     design_std_range: tuple[float, float]
     imitation: float
+    cloning: int
+    actor_start: int
 
 
 # RLPD as published: Ball et al. 2023 and its code, github.com/ikostrikov/rlpd. The entropy
@@ -81,6 +86,8 @@ PUBLISHED = Preset(
     design_std=0.15,
     design_std_range=(1e-4, 0.5),
     imitation=0.0,
+    cloning=0,
+    actor_start=0,
 )
 
 # For two cores, where the simulator is far faster than the learner: few small critics, and a
@@ -109,6 +116,8 @@ FAST = Preset(
     design_std=0.05,
     design_std_range=(0.02, 0.1),
     imitation=1.0,
+    cloning=4000,
+    actor_start=1000,
 )
 
 PRESETS = {preset.name: preset for preset in (PUBLISHED, FAST)}

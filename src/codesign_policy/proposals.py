@@ -70,9 +70,9 @@ class SearchSettings:
     """
 
     rounds: int = 4
-    survey: int = 6
+    survey: int = 4
     spread: float = 0.02
-    patience: int = 3
+    patience: int = 2
 
 
 @dataclass(frozen=True)
@@ -152,13 +152,14 @@ class DesignSearch:
 
     def _begin(self) -> None:
         self._random = np.random.default_rng([self._seed, 2])
+        self._rounds: list[NDArray[np.float64]] = []
         self._search: cma.CMAEvolutionStrategy | None = None
         self.generations: list[Generation] = []
         self._draw()
 
     def _draw(self) -> None:
         """The next generation."""
-        self._rounds: list[NDArray[np.float64]] = []
+        self._rounds = []
         if self._search is None and len(self.generations) >= self._settings.survey:
             self._search = self._from_the_best()
         self._asked = self._around_all() if self._search is None else self._search.ask()

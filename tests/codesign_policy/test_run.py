@@ -1,0 +1,93 @@
+"""Settings of runs, and what is made of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from codesign_policy.codesign_env import COMPONENTS
+from codesign_policy.control_demonstrations import own_rows, scripted_rows
+from codesign_policy.expert_demonstrations import DemonstrationError
+from codesign_policy.presets import FAST
+from codesign_policy.replay import Spaces
+from codesign_policy.reward import RewardWeights
+from codesign_policy.rlpd import Agent
+from codesign_policy.run import RunConfig, fingers_of, load_run, make_training, shown_rows
+
+STOCK = RunConfig(space="", lanes=4, transitions=800)
+
+
+def test_settings_are_kept(tmp_path: Path) -> None:
+    config = RunConfig(design=(0.1, -0.2), friction=(0.3, 0.7), command="x", commit="y")
+    config.save(tmp_path)
+    assert load_run(tmp_path) == config
+
+
+def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no run of this release"):
+        load_run(tmp_path)
+
+
+def test_sizes_and_stages() -> None:
+    assert RunConfig(space="lip-12").spaces == Spaces(44, 36, 7)
+    assert RunConfig(space="lip-12").learns_design
+    assert not RunConfig(space="lip-12", design=(0.0,) * 36).learns_design
+    assert STOCK.spaces == Spaces(8, 0, 7)
+    assert not STOCK.learns_design
+
+
+def test_stress_weighs_more_in_fine_tuning() -> None:
+    plain, tuned = RunConfig().weights, RunConfig(stress_factor=5.0).weights
+    assert tuned.pop("stress") == 5.0 * plain.pop("stress") == 5.0 * RewardWeights().stress
+    assert tuned == plain
+    assert set(RunConfig().weights) == set(COMPONENTS)
+
+
+def test_the_stock_fingers_are_demonstrated_by_the_script() -> None:
+    rows = scripted_rows(STOCK)
+    assert len(rows) == 600
+    assert rows.rows.in_control.all()
+    assert rows.rows.truncated.sum() == 3
+    lift = rows.rows.components[-3:, COMPONENTS.index("lift")]
+    assert_allclose(lift, 1.0)  # the last step of each: up by more than 90 mm
+    training = make_training(STOCK, rows)
+    assert training.proposer is None
+    assert training.agent.preset == FAST
+
+
+def test_a_policy_that_fails_demonstrates_nothing() -> None:
+    agent = Agent(STOCK.spaces, FAST, 0)
+    with pytest.raises(DemonstrationError, match="none of 4 episodes"):
+        own_rows(agent, STOCK)
+
+
+def test_designs_come_from_the_demonstrations() -> None:
+    shown = shown_rows("lip-12")
+    config = RunConfig(lanes=8, demonstrations=len(shown.rows))
+    training = make_training(config, shown.rows)
+    assert training.proposer is not None
+    designs = training.proposer.propose()
+    assert_allclose(designs[:3], shown.designs, atol=1e-6)
+    by_actor = make_training(replace(config, search=False), shown.rows)
+    assert by_actor.proposer is not None
+    spread = by_actor.proposer.propose() - shown.designs[-1]
+    assert 0.0 < np.abs(spread).max() < 5.0 * FAST.design_std
+
+
+def test_demonstrations_of_another_space_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"demonstrations of lip-12, the run is of box-12"):
+        shown_rows("box-12", shown_path())
+
+
+def shown_path() -> Path:
+    from codesign_policy.demonstrations import demonstrations_path
+
+    return demonstrations_path("lip-12")
+
+
+def test_fixed_designs_must_be_usable() -> None:
+    with pytest.raises(ValueError, match="design of lip-12"):
+        fingers_of("lip-12", np.zeros(36))  # the base mesh touches the knuckle
+    assert fingers_of("lip-12", shown_rows("lip-12").designs[0]).cage == "lip-12"
