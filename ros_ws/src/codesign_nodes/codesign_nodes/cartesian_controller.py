@@ -62,6 +62,7 @@ from codesign_policy.task import MAX_TRANSLATION, MAX_WIDTH_CHANGE, POLICY_PERIO
 ACTION_PERIOD_NS = round(POLICY_PERIOD * 1e9)
 STATUS_PERIOD = 0.05  # s
 FRESH_STATE_TIMEOUT = 4.0  # s, wait of ~/enable for a joint state
+LONGEST_STOP = 100  # control periods
 MAX_CATCH_UP = 5  # control periods that a late timer makes up for
 GRID_TOLERANCE_NS = 100_000_000
 MIN_GRIPPER_SPEED = 0.015  # m/s, slower ones the gripper does not accept
@@ -482,6 +483,7 @@ class CartesianController(LeanNode):
         if not request.data:
             with self._lock:
                 self._servo.disable()
+                self._finish_braking()
                 self._change_fingers()
             response.success, response.message = True, "disabled"
             return response
@@ -506,6 +508,13 @@ class CartesianController(LeanNode):
         response.success, response.message = True, "holding"
         return response
 
+    def _finish_braking(self) -> None:
+        """Lockstep: time may stand still until the next reset puts the arm elsewhere; a stop that
+        is then still going on would drag it back."""
+        for _ in range(LONGEST_STOP):
+            if not self._lockstep or not self._servo.step(None, self._now).active:
+                return
+
     async def _on_reset_fault(
         self, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
@@ -517,6 +526,7 @@ class CartesianController(LeanNode):
             return response
         try:
             with self._lock:
+                self._finish_braking()
                 self._servo.reset_fault(self._measured, self._time())
         except MoveRejected as error:
             response.message = str(error)
