@@ -34,6 +34,10 @@ from codesign_policy.replay import Batch, Spaces
 Stage = Literal["design", "control"]
 
 
+# Of the values that imitation is weighed against, while critics still answer nearly nothing.
+LEAST_VALUE = 3.0
+
+
 class LearningError(RuntimeError):
     """Learning left the range of numbers: a loss that is not finite."""
 
@@ -251,7 +255,7 @@ class Agent:
             better = shown & (theirs > value)
         log["imitated"] = (better.sum() / shown.sum().clamp(min=1)).item()
         error = (torch.tanh(mean) - action[:, self.spaces.design :]).square().sum(-1)
-        scale = self.preset.imitation * value.detach().abs().mean()
+        scale = self.preset.imitation * value.detach().abs().mean().clamp(min=LEAST_VALUE)
         return scale * (better * error).sum() / shown.sum().clamp(min=1)
 
     def _descend(self, name: str, loss: Tensor) -> float:

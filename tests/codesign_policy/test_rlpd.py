@@ -8,7 +8,7 @@ import torch
 
 from codesign_policy.presets import FAST, PRESETS, PUBLISHED, Preset
 from codesign_policy.replay import Batch, Spaces
-from codesign_policy.rlpd import Agent, LearningError
+from codesign_policy.rlpd import LEAST_VALUE, Agent, LearningError
 
 SPACES = Spaces(observation=4, design=3, control=2)
 SMALL = replace(FAST, hidden=(8,), batch_size=6, actor_period=1)
@@ -290,8 +290,8 @@ def test_demonstrated_actions_count_where_critics_prefer_them() -> None:
     action[:, 3:] = torch.tensor([[0.4, 0.0], [-0.5, 0.0], [0.4, 0.0], [0.5, 0.0]])
     rows = batch([True] * 4, action=action, demonstrated=torch.tensor([True, True, False, False]))
     loss, log = imitation(agent, rows)
-    # weight 2, size of values 0.25, squared distance 0.16 of one of two rows
-    assert loss.item() == pytest.approx(2.0 * 0.25 * 0.16 / 2)
+    # weight 2, values of 0.25 that count as LEAST_VALUE, squared distance 0.16 of one of two rows
+    assert loss.item() == pytest.approx(2.0 * LEAST_VALUE * 0.16 / 2)
     assert log["imitated"] == 0.5
 
 
