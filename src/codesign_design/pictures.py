@@ -37,7 +37,8 @@ def design_picture(
     """The finger from two sides, its cage with numbered handles, and the target if there is one."""
     surface = space.deformed(parameters)
     panels = 3 if target is None else 5
-    figure = Figure(figsize=(3.6 * panels, 4.0), layout="constrained")
+    figure = Figure(figsize=(3.6 * panels, 4.0))
+    figure.subplots_adjust(left=0.01, right=0.98, bottom=0.02, top=0.92, wspace=0.04)
     axes = [figure.add_subplot(1, panels, k + 1, projection="3d") for k in range(panels)]
     everything = [surface.vertices] if target is None else [surface.vertices, target.vertices]
     draw_surface(axes[0], surface, FINGER, bounds=everything)

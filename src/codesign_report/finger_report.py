@@ -45,7 +45,8 @@ def _picture(corners: NDArray[np.float64]) -> bytes:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    figure = Figure(figsize=(12, 4.2))
+    figure.subplots_adjust(left=0.02, right=0.95, bottom=0.16, top=0.94, wspace=0.15)
     canvas = FigureCanvasAgg(figure)
     for place, (title, (elevation, azimuth)) in enumerate(_VIEWS.items(), start=1):
         axes = figure.add_subplot(1, len(_VIEWS), place, projection="3d")
