@@ -124,7 +124,10 @@ def _shown(
         log.add(LANE, measured)
         judged = vars(step_components(log, measured, *recorded.tool(time)))
         components[step] = [judged[name][0] if name in judged else 0.0 for name in COMPONENTS]
-    metrics = log.metrics(0)
+    try:
+        metrics = log.metrics(0)
+    except ValueError as error:
+        raise BagError(f"{bag}: /stress: {error}") from error
     if not metrics.success:
         raise BagError(f"{bag}: the block is not held to the last action: record it for longer")
     described = Demonstration(

@@ -3,7 +3,6 @@
 import json
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +30,13 @@ SPACE = "lip-12"
 
 
 @pytest.fixture(scope="module")
-def bags(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
-    """Lockstep trials of the scripted grasp with the stock fingers and the shipped flat pad."""
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("logs")
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> Path:
+    """A lockstep trial of the scripted grasp with the shipped flat pad."""
     from codesign_interfaces.srv import GenerateDesign
 
     folder = tmp_path_factory.mktemp("shown")
@@ -43,16 +47,15 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Path]]:
     }
     pad = load_demonstrations(demonstrations_path(SPACE)).episodes[0]
     order = GenerateDesign.Request(name="pad", cage=SPACE, parameters=list(pad.parameters))
-    with Graph(folder / "logs", quiet=True) as graph:
+    with Graph(logs, quiet=True) as graph:
         for node in profile["nodes"]:
             parameters = profile["parameters"].get(node, {}) | settings.get(node, {})
             graph.start(node, parameters, lockstep=True)
         probe = Probe()
         try:
-            stock = trial(folder, "stock")
             answer = probe.call("/finger_design/generate_design", GenerateDesign, order, 150.0)
             assert answer.success, answer.message
-            yield {"stock": stock, "pad": trial(folder, "pad"), "logs": folder / "logs"}
+            return trial(folder, "pad")
         finally:
             probe.close()
 
@@ -68,10 +71,14 @@ def trial(folder: Path, label: str) -> Path:
     return Path(result["bag"])
 
 
+@pytest.fixture(autouse=True)
+def shown_logs(request: pytest.FixtureRequest, logs: Path) -> None:
+    request.node.stash[LOG_FOLDER] = logs
+
+
 @pytest.fixture
-def shown(bags: dict[str, Path], request: pytest.FixtureRequest) -> Demonstrations:
-    request.node.stash[LOG_FOLDER] = bags["logs"]
-    return import_demonstrations([bags["pad"]])
+def shown(bag: Path) -> Demonstrations:
+    return import_demonstrations([bag])
 
 
 def recorded(bag: Path, topic: str) -> dict[int, Any]:
@@ -87,9 +94,8 @@ def xyz(message: Any) -> list[float]:
 
 
 def test_every_row_is_what_the_messages_say(
-    bags: dict[str, Path], shown: Demonstrations, tmp_path: Path
+    bag: Path, shown: Demonstrations, tmp_path: Path
 ) -> None:
-    bag = bags["pad"]
     sent = recorded(bag, "/action")
     poses, tools = recorded(bag, "/object_pose"), recorded(bag, "/tcp_pose")
     grippers = recorded(bag, "/gripper_state")
@@ -144,25 +150,31 @@ def test_the_environment_gives_the_same_rewards_for_these_actions(shown: Demonst
     assert ours[COMPONENTS.index("stress")] < -5000.0
 
 
-def test_trials_that_show_nothing_are_refused(bags: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="fingers 'stock' have no design parameters"):
-        import_demonstrations([bags["stock"]])
-    failed = altered(bags["pad"], tmp_path / "failed", "/trial_state", fail)
+def test_trials_that_show_nothing_are_refused(bag: Path, tmp_path: Path) -> None:
+    stock = altered(bag, tmp_path / "stock", "/finger_design", without_parameters)
+    with pytest.raises(BagError, match="fingers 'pad' have no design parameters"):
+        import_demonstrations([stock])
+    failed = altered(bag, tmp_path / "failed", "/trial_state", fail)
     with pytest.raises(BagError, match="the trial did not succeed"):
         import_demonstrations([failed])
-    other = altered(bags["pad"], tmp_path / "other", "/finger_design", with_other_parameters)
+    other = altered(bag, tmp_path / "other", "/finger_design", with_other_parameters)
     with pytest.raises(BagError, match="lip-12 makes other fingers of these parameters now"):
         import_demonstrations([other])
-    lost = altered(bags["pad"], tmp_path / "lost", "/action", lambda m: m.sequence != 50)
+    lost = altered(bag, tmp_path / "lost", "/action", lambda m: m.sequence != 50)
     with pytest.raises(BagError, match="their numbers have gaps"):
         import_demonstrations([lost])
-    silent = altered(bags["pad"], tmp_path / "silent", "/stress", lambda m: False)
+    silent = altered(bag, tmp_path / "silent", "/stress", lambda m: False)
     with pytest.raises(BagError, match="no messages on /stress"):
         import_demonstrations([silent])
 
 
 def fail(message: Any) -> bool:
     message.metrics.success = False
+    return True
+
+
+def without_parameters(message: Any) -> bool:
+    message.cage, message.parameters = "", message.parameters[:0]
     return True
 
 
@@ -194,10 +206,10 @@ def altered(bag: Path, out: Path, topic: str, change: Any) -> Path:
     return out
 
 
-def test_the_bag_goes_on_working_without_the_graph(bags: dict[str, Path], tmp_path: Path) -> None:
+def test_the_bag_goes_on_working_without_the_graph(bag: Path, tmp_path: Path) -> None:
     """On the command line, as somebody would who was sent two bags."""
-    second = shutil.copytree(bags["pad"], tmp_path / "second")
-    command = ["codesign", "policy", "import-demonstrations", str(bags["pad"]), str(second)]
+    second = shutil.copytree(bag, tmp_path / "second")
+    command = ["codesign", "policy", "import-demonstrations", str(bag), str(second)]
     done = subprocess.run(
         [*command, "--out", str(tmp_path / "shown"), "--json"], capture_output=True, text=True
     )
