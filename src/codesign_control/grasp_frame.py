@@ -20,6 +20,17 @@ def grasp_pose(arm: Xarm7, gripper: GripperModel, q: np.ndarray, width: float) -
     return Pose.from_se3(tcp * _shift(gripper.finger_z(gripper.clip(width))))
 
 
+def start_posture(arm: Xarm7, gripper: GripperModel, width: float) -> np.ndarray:
+    """Joints (7,) [rad] near `arm.home` that hold the grasp frame at a gap [m] where the stock
+    fingers have it at home: the drive joint differs, and with it the four-bar's shift.
+    """
+    tcp = arm.tcp_placement(arm.home)
+    deeper = GripperModel().finger_z(width) - gripper.finger_z(gripper.clip(width))
+    if abs(deeper) < 1e-9:
+        return arm.home.copy()
+    return arm.ik(Pose.from_se3(tcp * _shift(deeper)), arm.home)
+
+
 def displaced_grasp(
     tcp: Pose, gripper: GripperModel, translation: np.ndarray, rotation: np.ndarray, width: float
 ) -> Pose:

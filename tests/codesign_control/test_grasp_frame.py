@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codesign_control import GripperModel, Pose, Xarm7
-from codesign_control.grasp_frame import grasp_pose, tcp_translation
+from codesign_control.grasp_frame import grasp_pose, start_posture, tcp_translation
 
 ARM, GRIPPER = Xarm7(), GripperModel()
 widths = st.floats(0.002, 0.085)
@@ -54,3 +54,14 @@ def test_pure_closing_moves_the_arm_along_the_tool_only() -> None:
     # Tool z is down: the arm rises by what the fingers come out.
     np.testing.assert_allclose(shift, [0.0, 0.0, -expected], atol=1e-12)
     assert shift[2] > 0.0
+
+
+@pytest.mark.parametrize("protrusion", [0.026, 0.030, 0.034])
+def test_every_finger_starts_where_the_stock_one_does(protrusion: float) -> None:
+    stock = grasp_pose(ARM, GRIPPER, ARM.home, 0.06)
+    fingers = GripperModel(protrusion)
+    joints = start_posture(ARM, fingers, 0.06)
+    here = grasp_pose(ARM, fingers, joints, 0.06)
+    np.testing.assert_allclose(here.position, stock.position, atol=1e-5)
+    np.testing.assert_allclose(here.rotation, stock.rotation, atol=1e-4)
+    assert np.abs(joints - ARM.home).max() < 0.1

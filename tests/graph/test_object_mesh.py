@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from codesign_nodes.simulated_cell import CellConfig, SimulatedCell
 
-from codesign_control.xarm7 import HOME
 from codesign_design.stock import stock_fingers
 from codesign_policy.domain import draw_domain
 from codesign_sim import Block
@@ -26,7 +25,7 @@ def wedge(tmp_path: Path) -> tuple[Path, Block]:
 
 def test_an_own_object_rests_where_the_trial_puts_it(wedge: tuple[Path, Block]) -> None:
     path, block = wedge
-    config = CellConfig(home=HOME, object_mesh=str(path), object_scale=1e-3)
+    config = CellConfig(object_mesh=str(path), object_scale=1e-3)
     cell = SimulatedCell(config, stock_fingers())
     domain = draw_domain(1)
     cell.reset(domain)
@@ -40,6 +39,6 @@ def test_an_own_object_rests_where_the_trial_puts_it(wedge: tuple[Path, Block]) 
 
 
 def test_a_bad_object_names_its_file(tmp_path: Path) -> None:
-    config = CellConfig(home=HOME, object_mesh=str(tmp_path / "missing.msh"))
+    config = CellConfig(object_mesh=str(tmp_path / "missing.msh"))
     with pytest.raises(ValueError, match=r"no mesh file .*missing\.msh"):
         SimulatedCell(config, stock_fingers())

@@ -45,7 +45,12 @@ from codesign_control import (
     ServoState,
     Xarm7,
 )
-from codesign_control.grasp_frame import displaced_grasp, grasp_pose, tcp_translation
+from codesign_control.grasp_frame import (
+    displaced_grasp,
+    grasp_pose,
+    start_posture,
+    tcp_translation,
+)
 from codesign_nodes import messages, qos
 from codesign_nodes.mounted import mounted
 from codesign_nodes.node_tools import (
@@ -591,7 +596,7 @@ class CartesianController(LeanNode):
         if len(request.joints):
             return np.array(request.joints)
         if not request.pose.header.frame_id:
-            return self._arm.home
+            return start_posture(self._arm, self._gripper, self._gap_target())
         if request.pose.header.frame_id != "link_base":
             raise ValueError(f"pose in frame {request.pose.header.frame_id!r}: must be link_base")
         pose = request.pose.pose

@@ -30,7 +30,6 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from codesign_control.setpoint_buffer import SetpointBuffer
-from codesign_control.xarm7 import HOME
 from codesign_design.finger_pair import FingerPair
 from codesign_design.stock import stock_fingers
 from codesign_nodes import messages, qos
@@ -65,7 +64,6 @@ class FemSimulator(LeanNode):
         )
         self._lockstep = self.get_parameter("use_sim_time").value
         config = CellConfig(
-            home=HOME,
             tetrahedra=declare(self, "tetrahedra", 2400, "resolution of the block: 600 or 2400"),
             object_mesh=declare(
                 self, "object_mesh", "", "tetrahedral mesh file to simulate instead of the block"

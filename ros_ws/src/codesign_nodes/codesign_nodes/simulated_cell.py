@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codesign_control import ArmModel, ArmModelConfig, Xarm7
-from codesign_control.grasp_frame import grasp_pose
+from codesign_control.grasp_frame import grasp_pose, start_posture
 from codesign_design.finger_pair import FingerPair
 from codesign_nodes.mounted import mounted
 from codesign_policy.domain import TrialDomain
@@ -30,13 +30,11 @@ class CellConfig:
         object_mesh: file of a tetrahedral mesh to simulate instead of the block, "" for none.
         object_scale: metres per unit of that file.
         table_height: z of the table in link_base [m].
-        home: posture after a reset, (7,) [rad].
         open_width: gap after a reset [m].
         arm_lag: time constant of each of the two lags with which the arm follows its set-point [s].
         gripper_speed: of the gap where a command states none [m/s].
     """
 
-    home: NDArray[np.float64]
     tetrahedra: int = 2400
     object_mesh: str = ""
     object_scale: float = 1.0
@@ -60,13 +58,12 @@ class SimulatedCell:
             table_height=config.table_height,
         )
         self._arm_model = ArmModel(
-            self._arm, ArmModelConfig(order=2, time_constant=config.arm_lag), config.home
+            self._arm, ArmModelConfig(order=2, time_constant=config.arm_lag), self._arm.home
         )
         self._park()
 
     def reset(self, domain: TrialDomain) -> None:
         """Arm to its start posture, gripper open, a new block at rest on the table."""
-        self._arm_model.reset(self.config.home)
         self._park()
         self.simulator.reset(
             Material(
@@ -81,10 +78,11 @@ class SimulatedCell:
         )
 
     def _park(self) -> None:
-        """Gripper open, nothing asked of it or of the arm."""
+        """Arm in its start posture, gripper open, nothing asked of them."""
         self.gripper = mounted(self.fingers, self.config.open_width)
         self.gripper_velocity = 0.0
-        self._command = self.config.home.copy()
+        self._command = start_posture(self._arm, self.gripper, self.gripper.width)
+        self._arm_model.reset(self._command)
         self._width_command, self._width_speed = self.gripper.width, self.config.gripper_speed
 
     def set_fingers(self, fingers: FingerPair) -> None:
