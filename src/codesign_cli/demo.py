@@ -10,14 +10,19 @@ import typer
 
 from codesign_cli.graph import bringup_command, run_process
 
-NOT_OURS = 2
+BAD_INPUT = 2
+DEFAULT_POLICIES = ["scripted"]
 
 
 def demo(
     out: Annotated[Path, typer.Option(help="folder of the results; replaced")] = Path("runs/demo"),
-    trials: Annotated[int, typer.Option(min=1, help="how many")] = 3,
+    trials: Annotated[int, typer.Option(min=1, help="how many of each policy")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="of the first trial; then one up each")] = 0,
     tetrahedra: Annotated[int, typer.Option(help="resolution of the block: 600 or 2400")] = 2400,
+    policy: Annotated[
+        list[str],
+        typer.Option(help="scripted, a shipped pair or a checkpoint's path; may be repeated"),
+    ] = DEFAULT_POLICIES,
     real_time: Annotated[
         bool,
         typer.Option("--real-time", help="on the wall clock; default: simulated time, repeatable"),
@@ -26,14 +31,25 @@ def demo(
 ) -> None:
     """Picks up silk tofu over the ROS 2 graph and writes a report.
 
+    Every policy gets the same seeds; the report shows them side by side. A trained pair brings its
+    own fingers, the scripted grasp takes those that are mounted, at first the stock ones.
+
     Exit codes: 0 every trial succeeded, 1 one failed, 2 bad input, 3 the graph broke down.
+
+    Examples:
+
+      codesign demo --policy scripted --trials 5 --seed 10
+
+      codesign demo --policy runs/mine/policy.npz --policy original
     """
     bringup = bringup_command()
+    names = _policy_options(policy)
     part = _empty_folder(out)
     command = [*bringup, "sim", "--log-folder", str(part / "logs"), "--quiet"]
     command += ["--set", f"fem_simulator.tetrahedra={tetrahedra}"]
     command += [] if real_time else ["--lockstep"]
     command += ["--", "run_trials", "--count", str(trials), "--seed", str(seed), "--out", str(part)]
+    command += names
     code = run_process(command, apart=True)
     if code not in (0, 1):
         typer.echo(
@@ -48,8 +64,29 @@ def demo(
     else:
         _print_table(summary)
         typer.echo(f"report: {out / 'report.html'}")
-    failed = len(summary["trials"]) < trials or not all(t["success"] for t in summary["trials"])
+    outcomes = [trial["success"] for trial in summary["trials"]]
+    failed = len(outcomes) < trials * len(policy) or not all(outcomes)
     raise typer.Exit(1 if failed else code)
+
+
+def _policy_options(policies: list[str]) -> list[str]:
+    """For run_trials; the scripted grasp alone is what the graph serves already."""
+    from codesign_policy.policy import SCRIPTED, policy_label, policy_names, trained_pair
+
+    try:
+        for name in policies:
+            trained_pair(name)
+        labels = [policy_label(name) for name in policies]
+        if len(set(labels)) < len(labels):
+            raise ValueError(f"policies {', '.join(policies)}: two would be labelled the same")
+    except ValueError as error:
+        typer.echo(f"codesign demo: {error}", err=True)
+        raise typer.Exit(BAD_INPUT) from None
+    if policies == [SCRIPTED]:
+        return []
+    known = policy_names()
+    paths = [name if name in known else str(Path(name).resolve()) for name in policies]
+    return [part for path in paths for part in ("--policy", path)]
 
 
 def _empty_folder(out: Path) -> Path:
@@ -58,7 +95,7 @@ def _empty_folder(out: Path) -> Path:
         typer.echo(
             f"codesign demo: {out} is not empty and no run of ours: choose another", err=True
         )
-        raise typer.Exit(NOT_OURS)
+        raise typer.Exit(BAD_INPUT)
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
@@ -104,8 +141,19 @@ def _print_table(summary: dict[str, Any]) -> None:
             trial["gripper"],
             str(trial["seed"]),
             "yes" if trial["success"] else "NO",
-            f"{trial['top10_stress_pa']:.0f}" if trial["top10_stress_pa"] is not None else "-",
-            f"{trial['median_stress_pa']:.0f}" if trial["median_stress_pa"] is not None else "-",
+            _number(trial["top10_stress_pa"], ".0f"),
+            _number(trial["median_stress_pa"], ".0f"),
             f"{trial['peak_lift_m'] * 1e3:.1f}",
         )
     Console().print(table)
+    for gripper in summary["grippers"]:
+        if gripper["baseline"]:
+            typer.echo(
+                f"{gripper['gripper']} over {gripper['baseline']}: "
+                f"{_number(gripper['top10_ratio'], '.2f')} of the top-10 % stress, "
+                f"{_number(gripper['median_ratio'], '.2f')} of the median"
+            )
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from codesign_report.bag import BagError, read_trial, trial_metrics
+from codesign_report.portrait import finger_portrait
 from codesign_report.recording import TrialRecording
 from codesign_report.report import SkippedBag, TrialResult, write_report, write_summary
 from codesign_report.video import frame_count, stress_ceiling, write_video
@@ -56,7 +57,7 @@ def build(
     _require_distinct(recordings)
     results = _render_all(recordings, folder, size, progress)
     return RunReport(
-        page=write_report(results, folder / "report.html", skipped),
+        page=write_report(results, folder / "report.html", skipped, _portraits(recordings)),
         summary=write_summary(results, folder / "summary.json", skipped),
         trials=results,
         skipped=skipped,
@@ -93,6 +94,12 @@ def _read_all(bags: Sequence[Path]) -> tuple[list[TrialRecording], list[SkippedB
         except BagError as error:
             skipped.append(SkippedBag(bag, str(error)))
     return recordings, skipped
+
+
+def _portraits(recordings: Sequence[TrialRecording]) -> dict[str, bytes]:
+    """A picture of each gripper's fingers, JPEG, where there is more than one to tell apart."""
+    first = {recording.gripper: recording for recording in reversed(recordings)}
+    return {name: finger_portrait(trial) for name, trial in first.items()} if len(first) > 1 else {}
 
 
 def _render_all(

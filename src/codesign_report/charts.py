@@ -15,11 +15,16 @@ LEFT, RIGHT, TOP, BOTTOM = 58, 628, 10, 124
 
 @dataclass(frozen=True)
 class Series:
-    """A curve: name, times (T,) [s] and values (T,) in the chart's unit."""
+    """A curve: name, times (T,) [s] and values (T,) in the chart's unit.
+
+    color, dash: 0 to 2, of the page's style; None: the curve's place in its chart.
+    """
 
     name: str
     times: Floats
     values: Floats
+    color: int | None = None
+    dash: int | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,8 @@ class Curve:
     path: str
     times: list[float]
     values: list[float]
+    color: int
+    dash: int
 
 
 @dataclass(frozen=True)
@@ -94,7 +101,7 @@ def draw(chart: Chart, start: float, stop: float, axis: tuple[float, float]) -> 
     level = y(chart.level[1]) if chart.level and np.isfinite(chart.level[1]) else None
     return Drawing(
         chart=chart,
-        curves=[_curve(s, x, y) for s in chart.series],
+        curves=[_curve(s, k, x, y) for k, s in enumerate(chart.series)],
         y_ticks=[(y(v), _label(v)) for v in [*ticks, *nice_ticks(top, 4)]],
         x_ticks=[(x(start + v), _label(v)) for v in nice_ticks(span, 9)[:-1]],
         level=level,
@@ -105,13 +112,15 @@ def draw(chart: Chart, start: float, stop: float, axis: tuple[float, float]) -> 
     )
 
 
-def _curve(series: Series, x, y) -> Curve:  # type: ignore[no-untyped-def]
+def _curve(series: Series, place: int, x, y) -> Curve:  # type: ignore[no-untyped-def]
     points = [f"{x(t)},{y(v)}" for t, v in zip(series.times, series.values, strict=True)]
     return Curve(
         series.name,
         "M" + "L".join(points),
         [round(float(t), 3) for t in series.times],
         [float(f"{v:.5g}") for v in series.values],
+        place if series.color is None else series.color,
+        place if series.dash is None else series.dash,
     )
 
 

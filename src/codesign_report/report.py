@@ -5,7 +5,7 @@ import io
 import json
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
@@ -15,9 +15,11 @@ import numpy as np
 
 from codesign_policy import metrics as definitions
 from codesign_policy.files import write_text
-from codesign_policy.metrics import GraspMetrics, in_contact, lift, score
-from codesign_report.charts import Chart, Drawing, Series, draw, limits
+from codesign_policy.metrics import GraspMetrics
+from codesign_report.charts import Chart, Drawing, draw, limits
+from codesign_report.comparison import GripperResult, Labelled, compare
 from codesign_report.recording import TrialRecording
+from codesign_report.trial_charts import own_charts, shared_charts
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,20 @@ class SkippedBag:
 
 
 def write_report(
-    trials: Sequence[TrialResult], path: str | Path, skipped: Sequence[SkippedBag] = ()
+    trials: Sequence[TrialResult],
+    path: str | Path,
+    skipped: Sequence[SkippedBag] = (),
+    portraits: Mapping[str, bytes] | None = None,
 ) -> Path:
     """Write one HTML page with everything in it: no file beside it, nothing from the network.
 
-    Trials with the same seed stand side by side.
+    Trials with the same seed stand side by side, over charts that hold the curves of all of them.
+
+    Args:
+        trials: at least one.
+        path: of the page.
+        skipped: bags that are named as left out.
+        portraits: pictures of the fingers, JPEG, by gripper.
 
     Raises:
         ValueError: no trials.
@@ -50,26 +61,35 @@ def write_report(
     """
     if not trials:
         raise ValueError("trials is empty: give at least one")
-    template = _environment().get_template("report.html")
-    ordered = sorted(trials, key=lambda r: (r.recording.seed, r.recording.gripper))
-    cards = _cards(ordered)
-    by_seed = groupby(cards, key=lambda card: card.result.recording.seed)
-    page = template.render(
-        trials=ordered,
-        seeds=[(seed, list(group)) for seed, group in by_seed],
-        grippers=_by_gripper(ordered),
-        skipped=skipped,
-        size=_object_size(ordered[0].recording),
-        definitions=definitions,
+    grippers = compare(_labelled(trials))
+    order = [gripper.gripper for gripper in grippers]
+    seeds = _seeds(trials, order)
+    page = (
+        _environment()
+        .get_template("report.html")
+        .render(
+            trials=[card.result for seed in seeds for card in seed.cards],
+            seeds=seeds,
+            grippers=grippers,
+            colors={name: k for k, name in enumerate(order)},
+            portraits={k: data_uri("image/jpeg", jpeg) for k, jpeg in (portraits or {}).items()},
+            skipped=skipped,
+            size=_object_size(trials[0].recording),
+            definitions=definitions,
+        )
     )
     write_text(Path(path), page)
     return Path(path)
 
 
+def _labelled(trials: Sequence[TrialResult]) -> list[Labelled]:
+    return [Labelled(r.recording.gripper, r.recording.seed, r.metrics) for r in trials]
+
+
 def write_summary(
     trials: Sequence[TrialResult], path: str | Path, skipped: Sequence[SkippedBag] = ()
 ) -> Path:
-    """Write {"trials": [...], "skipped": [...]} as JSON.
+    """Write {"trials": [...], "grippers": [...], "skipped": [...]} as JSON.
 
     Units are in the names of the keys, paths relative to the file; null: not defined, such as the
     stress of a finger that never touched.
@@ -78,6 +98,7 @@ def write_summary(
     folder = target.resolve().parent
     summary = {
         "trials": [_summary(result, folder) for result in trials],
+        "grippers": [_gripper_summary(result) for result in compare(_labelled(trials))],
         "skipped": [{"bag": _relative(s.bag, folder), "reason": s.reason} for s in skipped],
     }
     write_text(target, json.dumps(_no_nan(summary), indent=2) + "\n")
@@ -115,6 +136,22 @@ def _summary(result: TrialResult, folder: Path) -> dict[str, Any]:
     }
 
 
+def _gripper_summary(result: GripperResult) -> dict[str, Any]:
+    return {
+        "gripper": result.gripper,
+        "trials": result.trials,
+        "success_rate": result.success_rate,
+        "top10_stress_pa": result.top10[0],
+        "top10_std_pa": result.top10[1],
+        "median_stress_pa": result.median[0],
+        "median_std_pa": result.median[1],
+        "score": result.score,
+        "baseline": result.baseline or None,
+        "top10_ratio": result.top10_ratio,
+        "median_ratio": result.median_ratio,
+    }
+
+
 def _relative(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder)).as_posix()
 
@@ -136,110 +173,61 @@ def _no_nan(value: Any) -> Any:
 @dataclass(frozen=True)
 class _Card:
     result: TrialResult
-    charts: list[Drawing]
     video: str
     poster: str
 
 
 @dataclass(frozen=True)
-class _Aggregate:
-    """A gripper over its trials: mean and standard deviation, as in the paper's table I."""
+class _Seed:
+    """Trials of one seed, one card each, and the charts of all of them."""
 
-    gripper: str
-    count: int
-    success_rate: float
-    top10: tuple[float, float]
-    median: tuple[float, float]
-    score: float
+    seed: int
+    cards: list[_Card]
+    charts: list[Drawing]
 
 
-def _cards(results: Sequence[TrialResult]) -> list[_Card]:
-    """One per trial; charts of the same kind share one scale, so that they can be compared."""
-    charts = [_charts(result.recording) for result in results]
-    kinds = {chart.title for trial in charts for chart in trial}
+def _seeds(results: Sequence[TrialResult], order: Sequence[str]) -> list[_Seed]:
+    """By seed, grippers in the given order; charts of the same kind share one scale."""
+    ordered = sorted(results, key=lambda r: (r.recording.seed, order.index(r.recording.gripper)))
+    groups = [list(group) for _, group in groupby(ordered, key=lambda r: r.recording.seed)]
+    charts = [_charts([r.recording for r in group]) for group in groups]
+    everything = [chart for own in charts for chart in own]
     axes = {
-        kind: limits([c for trial in charts for c in trial if c.title == kind]) for kind in kinds
+        kind: limits([chart for chart in everything if chart.title == kind])
+        for kind in {chart.title for chart in everything}
     }
-    return [_card(result, own, axes) for result, own in zip(results, charts, strict=True)]
-
-
-def _card(
-    result: TrialResult, charts: Sequence[Chart], axes: dict[str, tuple[float, float]]
-) -> _Card:
-    trial = result.recording
-    start, stop = trial.motion.times[[0, -1]].tolist()
-    drawings = [draw(chart, start, stop, axes[chart.title]) for chart in charts]
-    video = poster = ""
-    if result.video:
-        video = _data_uri("video/mp4", result.video.read_bytes())
-        worst = trial.stress.times[int(np.argmax(trial.stress.top10))]
-        poster = _data_uri("image/jpeg", _still(result.video, float(worst) - start))
-    return _Card(result, drawings, video, poster)
-
-
-def _charts(trial: TrialRecording) -> list[Chart]:
-    stress = trial.stress
-    t = stress.times
-    contact = in_contact(stress.left_force, stress.right_force)
-    touching = t[contact]
-    band = (float(touching[0]), float(touching[-1])) if len(touching) else None
-    left, right = (np.linalg.norm(f, axis=1) for f in (stress.left_force, stress.right_force))
-    upward = stress.left_force[:, 2] + stress.right_force[:, 2]
-    charts = [
-        Chart(
-            "Von Mises stress",
-            "Pa",
-            [Series("top 10 %", t, stress.top10), Series("median", t, stress.median)],
-            band=band,
-        ),
-        Chart(
-            "Finger force on the object",
-            "N",
-            [
-                Series("left", t, left),
-                Series("right", t, right),
-                Series("both, upward", t, upward),
-            ],
-            level=("weight", trial.weight),
-            band=band,
-            decimals=2,
-        ),
-        Chart(
-            "Lift",
-            "mm",
-            [Series("object's centre", t, 1e3 * lift(trial.object_height, contact))],
-            level=("picked up", 1e3 * definitions.SUCCESS_LIFT),
-            band=band,
-            decimals=1,
-        ),
-    ]
-    if len(trial.gripper_times):
-        gap = Series("between the fingers", trial.gripper_times, 1e3 * trial.gripper_width)
-        charts.append(Chart("Gripper gap", "mm", [gap], band=band, decimals=1))
-    return charts
-
-
-def _by_gripper(trials: Sequence[TrialResult]) -> list[_Aggregate]:
-    ordered = sorted(trials, key=lambda r: r.recording.gripper)
     return [
-        _aggregate(name, [r.metrics for r in group])
-        for name, group in groupby(ordered, key=lambda r: r.recording.gripper)
+        _Seed(
+            group[0].recording.seed,
+            [_card(result) for result in group],
+            _drawings([r.recording for r in group], own, axes),
+        )
+        for group, own in zip(groups, charts, strict=True)
     ]
 
 
-def _aggregate(gripper: str, metrics: Sequence[GraspMetrics]) -> _Aggregate:
-    rate = float(np.mean([m.success for m in metrics]))
-    top10 = _spread(m.top10_stress for m in metrics)
-    median = _spread(m.median_stress for m in metrics)
-    return _Aggregate(gripper, len(metrics), rate, top10, median, score(rate, top10[0]))
+def _charts(trials: Sequence[TrialRecording]) -> list[Chart]:
+    return own_charts(trials[0]) if len(trials) == 1 else shared_charts(trials)
 
 
-def _spread(values: Iterable[float]) -> tuple[float, float]:
-    """Mean and standard deviation of the values that are defined."""
-    defined = [v for v in values if math.isfinite(v)]
-    if not defined:
-        return math.nan, math.nan
-    return float(np.mean(defined)), float(np.std(defined))
+def _drawings(
+    trials: Sequence[TrialRecording],
+    charts: Sequence[Chart],
+    axes: dict[str, tuple[float, float]],
+) -> list[Drawing]:
+    start = min(float(trial.motion.times[0]) for trial in trials)
+    stop = max(float(trial.motion.times[-1]) for trial in trials)
+    return [draw(chart, start, stop, axes[chart.title]) for chart in charts]
+
+
+def _card(result: TrialResult) -> _Card:
+    if not result.video:
+        return _Card(result, "", "")
+    trial = result.recording
+    video = data_uri("video/mp4", result.video.read_bytes())
+    worst = trial.stress.times[int(np.argmax(trial.stress.top10))]
+    still = _still(result.video, float(worst - trial.motion.times[0]))
+    return _Card(result, video, data_uri("image/jpeg", still))
 
 
 def _object_size(trial: TrialRecording) -> str:
@@ -264,7 +252,8 @@ def _still(video: Path, time: float) -> bytes:
         return jpeg.getvalue()
 
 
-def _data_uri(kind: str, data: bytes) -> str:
+def data_uri(kind: str, data: bytes) -> str:
+    """Data as a URI that holds it."""
     return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 

@@ -87,6 +87,7 @@ class SceneRenderer:
         stress_range: von Mises stress at both ends of the colour map [Pa].
         table_height: z of the table top [m].
         center: x, y of the scene's middle, where lights aim [m].
+        finger_color: RGBA, 0 to 1.
 
     Raises:
         RuntimeError: no offscreen OpenGL; the message names the packages.
@@ -103,6 +104,7 @@ class SceneRenderer:
         stress_range: tuple[float, float] = (0.0, 8000.0),
         table_height: float = 0.0,
         center: tuple[float, float] = (0.0, 0.0),
+        finger_color: tuple[float, float, float, float] = FINGER_COLOR,
     ) -> None:
         if not (16 <= width <= 7680 and 16 <= height <= 4320):
             raise ValueError(f"picture is {width} x {height} px: give 16 x 16 to 7680 x 4320")
@@ -124,7 +126,7 @@ class SceneRenderer:
         self._links = _gripper_links(fingers)
         self._gl: Any = _gl_context_class()(width, height)
         self._gl.make_current()
-        self._build(table_height, center)
+        self._build(table_height, center, finger_color)
 
     def __enter__(self) -> "SceneRenderer":
         return self
@@ -261,7 +263,12 @@ class SceneRenderer:
 
     # -- the scene -------------------------------------------------------------------------------
 
-    def _build(self, table_height: float, center: tuple[float, float]) -> None:
+    def _build(
+        self,
+        table_height: float,
+        center: tuple[float, float],
+        finger_color: tuple[float, float, float, float],
+    ) -> None:
         import mujoco
 
         spec = mujoco.MjSpec()
@@ -273,7 +280,7 @@ class SceneRenderer:
         spec.visual.rgba.haze = [*BACKGROUND, 1.0]
         spec.stat.extent = 1.0
         spec.stat.center = [*center, table_height]
-        _add_materials(spec)
+        _add_materials(spec, finger_color)
         self._add_geoms(spec, table_height, center)
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -422,7 +429,7 @@ def _add_mesh(spec: Any, name: str, soup: _Soup) -> None:
     )
 
 
-def _add_materials(spec: Any) -> None:
+def _add_materials(spec: Any, finger_color: tuple[float, float, float, float]) -> None:
     import mujoco
 
     _add_texture(spec, "stress", _stress_texture())
@@ -433,7 +440,7 @@ def _add_materials(spec: Any) -> None:
     stress = spec.add_material(name="stress", **soft)
     stress.textures[rgb] = "stress"
     spec.add_material(name="tofu", rgba=[0.97, 0.94, 0.86, 1.0], specular=0.1)
-    spec.add_material(name="finger", rgba=FINGER_COLOR, specular=0.5, shininess=0.4)
+    spec.add_material(name="finger", rgba=finger_color, specular=0.5, shininess=0.4)
     spec.add_material(name="body", rgba=BODY_COLOR, specular=0.2)
     for i in range(3):
         shadow = spec.add_material(

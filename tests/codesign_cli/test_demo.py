@@ -38,6 +38,23 @@ def test_numbers_out_of_range_are_refused(option: list[str]) -> None:
     assert option[0] in result.output
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--policy", "nobody"], "policy 'nobody': unknown; there are scripted"),
+        (["--policy", "scripted", "--policy", "scripted"], "two would be labelled the same"),
+    ],
+)
+def test_policies_are_checked_first(
+    options: list[str], words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("codesign_cli.demo.bringup_command", lambda: ["false"])
+    result = runner.invoke(app, ["demo", "--out", str(tmp_path / "run"), *options])
+    assert result.exit_code == 2
+    assert words in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_help_names_every_command() -> None:
     result = runner.invoke(app, ["--help"])
     assert result.exit_code == 0

@@ -18,11 +18,12 @@ import codesign_report
 from codesign_cli import report as commands
 from codesign_report import BagError, SkippedBag, TrialResult, trial_metrics, write_report
 from codesign_report.charts import BOTTOM, LEFT, RIGHT, TOP, Chart, Series, draw, limits
-from codesign_report.report import number
+from codesign_report.portrait import finger_portrait
+from codesign_report.report import data_uri, number
 from codesign_report.video import write_video
 
 SIZE = (64, 48)
-VOID = {"meta", "input", "br", "link", "path", "rect"}
+VOID = {"meta", "img", "input", "br", "link", "path", "rect"}
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +151,44 @@ def test_same_seed_stands_side_by_side(result, tmp_path):
     ]
     page = write_report(trials, tmp_path / "r.html").read_text()
     assert page.index("Seed 3</h2>") < page.index("Seed 4</h2>")
-    assert page.count("Play side by side</button>") == 1
+    assert page.count(">Play</button>") == 1
     assert page.count('class="card trial solo"') == 1
     assert "By gripper" in page
+    assert "<h1>round against stock</h1>" in page
+    assert page.count("1.00 ×</b>") == 2  # of its own copy's stresses
+
+
+def test_grippers_on_the_same_seed_share_charts(result, tmp_path):
+    trials = [result, renamed(result, gripper="round", bag=Path("round-seed3"))]
+    portraits = {"round": b"round fingers", "stock": b"stock fingers"}
+    page = write_report(trials, tmp_path / "r.html", portraits=portraits).read_text()
+    parser = outline(page)
+    assert parser.crossed == []
+    labels = [v for tag, name, v in parser.attributes if (tag, name) == ("svg", "aria-label")]
+    assert len(labels) == 4
+    for curve in ("round, top 10 %", "stock, top 10 %", "round, median", "stock, median"):
+        assert curve in labels[0]
+    pictures = [v for tag, name, v in parser.attributes if (tag, name) == ("img", "src")]
+    assert pictures == [data_uri("image/jpeg", portraits[n]) for n in ("round", "stock")]
+    drawn = [v for tag, name, v in parser.attributes if (tag, name) == ("path", "class")]
+    assert {"line c0 d0", "line c0 d1", "line c1 d0", "line c1 d1"} <= set(drawn)
+    # One player for all videos of the seed, no controls of their own.
+    assert page.count('class="player"') == 1
+    assert not any((tag, name) == ("video", "controls") for tag, name, _ in parser.attributes)
+
+
+def test_a_portrait_shows_both_fingers_and_the_object(recording):
+    """Blue fingers left and right of a pale object."""
+    import io
+
+    from PIL import Image
+
+    picture = Image.open(io.BytesIO(finger_portrait(recording, 320, 184)))
+    assert picture.size == (320, 184)
+    red, _, blue = np.moveaxis(np.asarray(picture, dtype=int), -1, 0)
+    columns = np.flatnonzero((blue - red > 30).sum(axis=0) > 20)
+    pale = np.flatnonzero((red - blue > 10).sum(axis=0) > 20)
+    assert columns.min() < pale.min() < pale.max() < columns.max()
 
 
 def test_a_trial_without_contact(result, tmp_path):
@@ -252,6 +288,15 @@ def test_summary(run):
         assert (folder / entry["bag"] / "metadata.yaml").exists()
         assert (folder / entry["video"]).exists()
         assert entry["domain"]["young_modulus_pa"] == DOMAIN["young_modulus"]
+
+
+def test_summary_of_grippers(run):
+    _, report, _ = run
+    around, stock = json.loads(report.summary.read_text())["grippers"]
+    assert (around["gripper"], around["trials"], around["baseline"]) == ("round", 2, "stock")
+    assert around["top10_ratio"] == pytest.approx(1.0)  # the same made-up trial
+    assert (stock["gripper"], stock["trials"], stock["baseline"]) == ("stock", 1, None)
+    assert stock["top10_ratio"] is None
 
 
 def test_progress_goes_from_start_to_end(run):
