@@ -252,7 +252,12 @@ def _started(config: RunConfig, source: Path | None, without: bool) -> tuple[Tra
 
     if without:
         return make_training(config, None), config
-    rows = shown_rows(config.space, source).rows if config.space else scripted_rows(config)
+    if config.space:
+        shown = shown_rows(config.space, source)
+        rows = shown.rows
+        config = replace(config, start=shown.gentlest.parameters)
+    else:
+        rows = scripted_rows(config)
     config = replace(config, demonstrations=len(rows))
     return make_training(config, rows), config
 

@@ -77,6 +77,11 @@ class Demonstrations:
         """The demonstrated designs, (n, D)."""
         return np.array([episode.parameters for episode in self.episodes])
 
+    @property
+    def gentlest(self) -> Demonstration:
+        """That with the least top-10 % and median stress, added."""
+        return min(self.episodes, key=lambda each: each.top10_stress + each.median_stress)
+
     def transitions(self) -> Iterator[Transitions]:
         """The rows of each episode."""
         rows = self.rows.rows

@@ -30,9 +30,6 @@ class Preset:
         design_std_range: its bounds.
         imitation: weight of staying close to demonstrated actions, in units of the values' size;
             it counts only where the critics think more of them than of the actor's own.
-        cloning: steps of behaviour cloning before the run, where there are demonstrations.
-        actor_start: updates of the critics before the first one of the actors: critics that know
-            nothing yet must not undo what was cloned.
     """
 
     name: str
@@ -56,8 +53,6 @@ class Preset:
     design_std: float
     design_std_range: tuple[float, float]
     imitation: float
-    cloning: int
-    actor_start: int
 
 
 # RLPD as published: Ball et al. 2023 and its code, github.com/ikostrikov/rlpd. The entropy
@@ -86,8 +81,6 @@ PUBLISHED = Preset(
     design_std=0.15,
     design_std_range=(1e-4, 0.5),
     imitation=0.0,
-    cloning=0,
-    actor_start=0,
 )
 
 # For two cores, where the simulator is far faster than the learner: few small critics, and a
@@ -108,7 +101,7 @@ FAST = Preset(
     actor_period=2,
     backup_entropy=False,
     start_transitions=1000,
-    control_temperature=0.005,
+    control_temperature=0.1,
     control_entropy=-4.0,
     design_temperature=0.01,
     design_entropy_per_parameter=None,
@@ -116,8 +109,6 @@ FAST = Preset(
     design_std=0.05,
     design_std_range=(0.02, 0.1),
     imitation=1.0,
-    cloning=4000,
-    actor_start=1000,
 )
 
 PRESETS = {preset.name: preset for preset in (PUBLISHED, FAST)}

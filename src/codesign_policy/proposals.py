@@ -17,6 +17,7 @@ from codesign_policy.rlpd import Agent
 
 Array = NDArray[np.float32]
 STRESS_SCALE = 2000.0  # Pa of top-10 % and median stress together that outweigh one success
+RECENT = 2  # generations whose fitness still says something: the controller goes on learning
 DESIGN_BOUND = 0.9  # designs stay within; demonstrations are fitted within 0.75
 
 
@@ -64,15 +65,14 @@ class SearchSettings:
 
     Attributes:
         rounds: that a generation of designs is kept: building fingers costs as much as an episode.
-        survey: generations around all demonstrated designs, before one is chosen to go on from.
-        spread: standard deviation of designs around a demonstrated one [96 mm of a handle's way].
-        patience: the last generations of the survey, by which the demonstrations are compared.
+        practice: generations around the start alone, while the controller learns to grasp at all:
+            outcomes say little about designs before it does.
+        spread: standard deviation of the first designs [96 mm of a handle's way].
     """
 
     rounds: int = 4
-    survey: int = 4
+    practice: int = 4
     spread: float = 0.02
-    patience: int = 2
 
 
 @dataclass(frozen=True)
@@ -84,31 +84,23 @@ class Generation:
 
 
 class DesignSearch:
-    """First all demonstrated designs with noise, then CMA-ES from the one that does best.
+    """Designs scattered around a start, then CMA-ES from there.
 
     Attributes:
         generations: that are over, in order.
     """
 
     def __init__(
-        self, demonstrated: NDArray[np.floating], lanes: int, settings: SearchSettings, seed: int
+        self, start: NDArray[np.floating], lanes: int, settings: SearchSettings, seed: int
     ) -> None:
         """
         Args:
-            demonstrated: designs, (n, D) in [-1, 1].
-            lanes: designs per round.
+            start: (D,) in [-1, 1], such as the best demonstrated design.
+            lanes: designs per round, at least 2.
             settings: how.
             seed: of what it draws.
-
-        Raises:
-            ValueError: no demonstrated design, or more than lanes.
         """
-        self._demonstrated = np.asarray(demonstrated, np.float64)
-        if not 0 < len(self._demonstrated) <= lanes:
-            raise ValueError(
-                f"{len(self._demonstrated)} demonstrated designs for {lanes} lanes: give one at "
-                "least, and a lane for each"
-            )
+        self._start = np.asarray(start, np.float64)
         self._lanes, self._settings, self._seed = lanes, settings, seed
         self._begin()
 
@@ -125,12 +117,11 @@ class DesignSearch:
     @property
     def centre(self) -> Array:
         """The design that the search is around now, (D,)."""
-        mean = self._centres()[0] if self._search is None else self._search.mean
-        return np.array(mean, np.float32)
+        return np.array(self._start if self._search is None else self._search.mean, np.float32)
 
     def best(self, count: int) -> list[Array]:
         """The designs of the highest fitness in the last generations, at most `count`."""
-        recent = self.generations[-self._settings.patience :]
+        recent = self.generations[-RECENT:]
         tried = [(f, d) for g in recent for f, d in zip(g.fitness, g.designs, strict=True)]
         return [design for _, design in sorted(tried, key=lambda each: -each[0])[:count]]
 
@@ -146,43 +137,32 @@ class DesignSearch:
         self._begin()
         for found in state["fitness"]:
             self._advance(np.asarray(found))
-        self._rounds = [np.asarray(each) for each in state["rounds"]]
+        self._rounds.extend(np.asarray(each) for each in state["rounds"])
 
     # ---------------------------------------------------------------- inside
 
     def _begin(self) -> None:
         self._random = np.random.default_rng([self._seed, 2])
-        self._rounds: list[NDArray[np.float64]] = []
         self._search: cma.CMAEvolutionStrategy | None = None
         self.generations: list[Generation] = []
         self._draw()
 
     def _draw(self) -> None:
         """The next generation."""
-        self._rounds = []
-        if self._search is None and len(self.generations) >= self._settings.survey:
-            self._search = self._from_the_best()
-        self._asked = self._around_all() if self._search is None else self._search.ask()
+        self._rounds: list[NDArray[np.float64]] = []
+        if self._search is None and len(self.generations) >= self._settings.practice:
+            self._search = self._from_the_start()
+        self._asked = self._around_the_start() if self._search is None else self._search.ask()
         self._designs = np.asarray(self._asked, np.float32)
 
-    def _around_all(self) -> NDArray[np.float64]:
-        """Every demonstrated design as it is, and in the other lanes with noise, in turn."""
-        count = len(self._demonstrated)
-        noise = self._random.normal(size=(self._lanes, self._demonstrated.shape[1]))
-        noise[:count] = 0.0
-        designs = self._demonstrated[np.arange(self._lanes) % count] + self._settings.spread * noise
+    def _around_the_start(self) -> NDArray[np.float64]:
+        """The start itself, and with noise in the other lanes."""
+        noise = self._random.normal(size=(self._lanes, len(self._start)))
+        noise[0] = 0.0
+        designs = self._start + self._settings.spread * noise
         return np.clip(designs, -DESIGN_BOUND, DESIGN_BOUND)
 
-    def _centres(self) -> NDArray[np.float64]:
-        """The demonstrated designs, the best first."""
-        count = len(self._demonstrated)
-        recent = [g.fitness for g in self.generations[-self._settings.patience :]]
-        if not recent:
-            return self._demonstrated
-        every = np.mean(recent, axis=0)
-        return self._demonstrated[np.argsort([-every[k::count].mean() for k in range(count)])]
-
-    def _from_the_best(self) -> cma.CMAEvolutionStrategy:
+    def _from_the_start(self) -> cma.CMAEvolutionStrategy:
         options = {
             "popsize": self._lanes,
             "bounds": [-DESIGN_BOUND, DESIGN_BOUND],
@@ -190,7 +170,7 @@ class DesignSearch:
             "seed": np.nan,  # the library's own generator stays out of it
             "verbose": -9,
         }
-        return cma.CMAEvolutionStrategy(self._centres()[0], self._settings.spread, options)
+        return cma.CMAEvolutionStrategy(self._start, self._settings.spread, options)
 
     def _advance(self, found: NDArray[np.float64]) -> None:
         self.generations.append(Generation(self._designs, found))

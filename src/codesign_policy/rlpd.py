@@ -171,8 +171,7 @@ class Agent:
         """
         log = self._update_critics(batch)
         self.updates += 1
-        late = self.updates >= self.preset.actor_start
-        if late and self.updates % self.preset.actor_period == 0:
+        if self.updates % self.preset.actor_period == 0:
             log |= self._update_actors(batch)
         return log
 

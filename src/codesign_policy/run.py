@@ -49,6 +49,7 @@ class RunConfig:
     Attributes:
         space: design space; empty: the stock fingers, and control alone is learned.
         design: fixed parameters in that space: control alone is learned; empty: the design too.
+        start: where designs start, in [-1, 1]; empty: at the base mesh.
         preset: of the learner.
         search: whether designs come from `DesignSearch` instead of the design actor.
         transitions: budget, of the control stage.
@@ -64,6 +65,7 @@ class RunConfig:
 
     space: str = "lip-12"
     design: tuple[float, ...] = ()
+    start: tuple[float, ...] = ()
     preset: str = "fast"
     search: bool = True
     transitions: int = 240_000
@@ -113,7 +115,7 @@ def load_run(folder: Path) -> RunConfig:
     """
     try:
         values = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-        lists = {name: tuple(values[name]) for name in ("design", "friction")}
+        lists = {name: tuple(values[name]) for name in ("design", "start", "friction")}
         return RunConfig(**{**values, **lists})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(
@@ -175,22 +177,14 @@ def make_training(
         ValueError: settings that do not belong together.
     """
     episodes = make_episodes(config)
+    start = np.array(config.start or (0.0,) * config.spaces.design)
     if agent is None:
-        agent = Agent(config.spaces, PRESETS[config.preset], config.seed, _start(demonstrations))
+        agent = Agent(config.spaces, PRESETS[config.preset], config.seed, start)
     search = None
     if config.learns_design and config.search:
-        base = np.zeros((1, config.spaces.design), np.float32)
-        shown = base if demonstrations is None else demonstrations.designs
-        search = DesignSearch(shown, config.lanes, SearchSettings(), config.seed)
+        search = DesignSearch(start, config.lanes, SearchSettings(), config.seed)
     training = TrainingConfig(config.transitions, config.weights, config.seed)
     return Training(agent, episodes, training, demonstrations, search)
-
-
-def _start(demonstrations: ReplayBuffer | None) -> NDArray[np.float32] | None:
-    """Where the design actor begins: at the last demonstrated design."""
-    if demonstrations is None or not demonstrations.spaces.design:
-        return None
-    return demonstrations.designs[-1]
 
 
 def shown_rows(space: str, source: str | Path | None = None) -> Demonstrations:

@@ -24,7 +24,6 @@ from codesign_policy.checkpoint import (
     restore_random,
     save_checkpoint,
 )
-from codesign_policy.cloning import clone
 from codesign_policy.files import write_text
 from codesign_policy.proposals import ActorProposals, Proposer
 from codesign_policy.replay import ReplayBuffer, sample_batch
@@ -104,8 +103,8 @@ class Training:
     ) -> None:
         """
         Args:
-            agent: learns. One that has learned before acts at once; a new one clones the
-                demonstrations first, or without them acts at random until the first updates.
+            agent: learns. One that has learned before acts at once; a new one acts at random
+                until the preset's first updates.
             episodes: where experience comes from.
             config: settings.
             demonstrations: half of every batch; None: a pure online run.
@@ -126,7 +125,6 @@ class Training:
         self.proposer = proposer or self._actor_proposals()
         self._random = np.random.default_rng([config.seed, 1])
         self._rounds = self._transitions = self._updates = 0
-        self._cloned = False
 
     @property
     def transitions(self) -> int:
@@ -156,8 +154,6 @@ class Training:
             ValueError: the environment answered with wrong shapes or numbers; likewise.
         """
         saved = time.monotonic()
-        if not self._rounds:
-            self._clone()
         while not self.done:
             progress = self._round()
             self.history.append(progress.row())
@@ -179,13 +175,6 @@ class Training:
     @property
     def _buffers(self) -> list[ReplayBuffer]:
         return [b for b in (self.demonstrations, self.experience) if b is not None]
-
-    def _clone(self) -> None:
-        """A new agent's start near the demonstrations."""
-        steps = self.agent.preset.cloning
-        if self.demonstrations is not None and not self.agent.updates and steps:
-            clone(self.agent, self.demonstrations, steps, self.config.seed)
-            self._cloned = True
 
     def _round(self) -> Progress:
         began = time.perf_counter()
@@ -219,7 +208,7 @@ class Training:
         return ActorProposals(self.agent, observation, self.episodes.environment.num_envs)
 
     def _act(self, observation: Array) -> Array:
-        if self.agent.updates or self._cloned:
+        if self.agent.updates:
             return self.agent.act(observation, explore=True)
         shape = (len(observation), self.agent.spaces.control)
         return self._random.uniform(-1.0, 1.0, shape).astype(np.float32)
@@ -277,7 +266,6 @@ class Training:
             "proposer": self.proposer.state() if self.proposer else {},
             "random": random_state(self._random),
             "counts": [self._rounds, self._transitions, self._updates],
-            "cloned": self._cloned,
             "history": self.history,
         }
         save_checkpoint(folder, state, self.configuration())
@@ -305,7 +293,6 @@ class Training:
             self.proposer.restore(state["proposer"])
         restore_random(self._random, state["random"])
         self._rounds, self._transitions, self._updates = state["counts"]
-        self._cloned = state["cloned"]
         self.history = list(state["history"])
 
     def configuration(self) -> dict[str, Any]:

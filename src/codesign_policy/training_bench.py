@@ -32,12 +32,13 @@ class TrainingRate:
 
 def measure_training(preset: str = "fast", rounds: int = 2, lanes: int = 16) -> TrainingRate:
     """Trains for `rounds` rounds and one before them, of a co-design run from its start."""
-    config = RunConfig(preset=preset, lanes=lanes)
+    shown = shown_rows(RunConfig().space)
+    config = RunConfig(preset=preset, lanes=lanes, start=shown.gentlest.parameters)
     seen: list[Progress] = []
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        training = make_training(config, shown_rows(config.space).rows)
+        training = make_training(config, shown.rows)
         training.run(None, seen.append, lambda: len(seen) > rounds)
     finally:
         torch.set_num_threads(threads)

@@ -17,7 +17,7 @@ from codesign_policy.policy_file import load_pair
 @pytest.fixture(scope="module", autouse=True)
 def quick() -> Iterator[None]:
     """Small networks, few updates: what is learned is not looked at."""
-    small = replace(presets.FAST, hidden=(8,), batch_size=16, design_rows=4, cloning=5)
+    small = replace(presets.FAST, hidden=(8,), batch_size=16, design_rows=4)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(presets.PRESETS, "fast", small)
         yield

@@ -170,9 +170,7 @@ class Graded(ToyEnv):
 
 def test_a_resumed_search_for_designs_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     def searching() -> Training:
-        search = DesignSearch(
-            np.zeros((1, 2)), 8, SearchSettings(rounds=1, survey=1, patience=1), seed=4
-        )
+        search = DesignSearch(np.zeros(2), 8, SearchSettings(rounds=1, practice=1), seed=4)
         episodes = Episodes(Graded(8), COMPONENTS, METRICS, np.zeros(5, np.float32))
         return Training(Agent(SPACES, QUICK, 0), episodes, CONFIG, demonstrations(), search)
 
