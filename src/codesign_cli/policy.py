@@ -19,7 +19,13 @@ app = typer.Typer(help="Policies in the simulated control stage.", no_args_is_he
 app.command()(demonstrations.demonstrate)
 app.command()(demonstrations.import_demonstrations)
 app.command()(demonstrations.export_demonstrations)
-for command in (training.train, training.finetune, training.evaluate, training.show):
+for command in (
+    training.train,
+    training.finetune,
+    training.evaluate,
+    training.export,
+    training.show,
+):
     app.command()(command)
 
 FASTEST = 5.0  # m/s; what lifts tofu at 0.2 m/s has no business being faster

@@ -1,4 +1,4 @@
-"""`codesign policy train`, `finetune`, `evaluate` and `show`."""
+"""`codesign policy train`, `finetune`, `evaluate`, `export` and `show`."""
 
 from __future__ import annotations
 
@@ -186,6 +186,25 @@ def evaluate(
         typer.echo(json.dumps(found.as_json(), indent=2))
     else:
         _print_evaluation(checkpoint, found)
+
+
+def export(
+    checkpoint: Annotated[
+        str, typer.Argument(help="Folder of a run, a policy.npz or a shipped pair's name.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write, over what was there.")],
+) -> None:
+    """Write a trained pair with all files of its finger: to print it, to serve it, to ship it.
+
+    Exit codes: 0 done, 2 bad input, or a finger that cannot be printed or used.
+
+    Example: codesign policy export runs/codesign-tuned --out my-finger
+    """
+    from codesign_policy.shipped import ship
+
+    with _errors("export"):
+        ship(_pair(checkpoint), out)
+    typer.echo(f"pair: {out}")
 
 
 def show(

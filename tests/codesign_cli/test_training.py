@@ -1,4 +1,4 @@
-"""`codesign policy train`, `finetune`, `evaluate` and `show`, a round each."""
+"""`codesign policy train`, `finetune`, `evaluate`, `export` and `show`, a round each."""
 
 import json
 from collections.abc import Iterator
@@ -78,6 +78,14 @@ def test_an_evaluation_as_json(trained: Path) -> None:
               "score", "episodes"}  # fmt: skip
     assert wanted <= set(found)
     assert (found["episodes"], found["friction"], found["pose_error_m"]) == (4, [0.4, 0.4], 0.002)
+
+
+def test_a_pair_is_exported(trained: Path, tmp_path: Path) -> None:
+    done = run("export", trained, "--out", tmp_path / "pair")
+    assert done.exit_code == 0, done.output
+    written, own = (load_pair(folder / "policy.npz") for folder in (tmp_path / "pair", trained))
+    assert written.about == own.about
+    assert all((a == b).all() for a, b in zip(written.weights, own.weights, strict=True))
 
 
 @pytest.mark.parametrize(
