@@ -41,11 +41,14 @@ def demonstrate(
     from rich.console import Console
     from rich.progress import Progress
 
+    from codesign_policy.demonstrations import METADATA
     from codesign_policy.expert_demonstrations import DemonstrationError
     from codesign_policy.expert_demonstrations import demonstrate as make
+    from codesign_policy.files import require_replaceable
     from codesign_sim import SimulationError
 
     try:
+        require_replaceable(out, METADATA)  # before half a minute is spent
         with Progress(console=Console(stderr=True), transient=True) as progress:
             task = progress.add_task("", total=1.0)
 

@@ -22,6 +22,12 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def require_replaceable(folder: Path, marker: str) -> None:
+    """Raises: ValueError: a folder that is neither empty nor holds the file `marker`."""
+    if folder.exists() and not (folder / marker).is_file() and any(folder.iterdir()):
+        raise ValueError(f"{folder}: has other content, without a {marker}: name another folder")
+
+
 @contextmanager
 def replacing_folder(folder: Path, marker: str) -> Iterator[Path]:
     """An empty folder beside `folder`, moved to its place on success and removed on failure.
@@ -33,8 +39,7 @@ def replacing_folder(folder: Path, marker: str) -> Iterator[Path]:
     Raises:
         ValueError: there is something else.
     """
-    if folder.exists() and not (folder / marker).is_file() and any(folder.iterdir()):
-        raise ValueError(f"{folder}: has other content, without a {marker}: name another folder")
+    require_replaceable(folder, marker)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as aside:
         temporary = Path(aside, "new")

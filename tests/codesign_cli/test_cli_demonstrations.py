@@ -1,4 +1,4 @@
-"""`codesign policy export-demonstrations` and `import-demonstrations`: files and exit codes."""
+"""`codesign policy demonstrate`, `export-` and `import-demonstrations`: files, exit codes."""
 
 import json
 from pathlib import Path
@@ -42,3 +42,11 @@ def test_bad_input_is_named_and_nothing_is_written(tmp_path: Path) -> None:
     done = runner.invoke(app, ["policy", "import-demonstrations", missing, "--out", str(out)])
     assert (done.exit_code, out.exists()) == (2, False)
     assert "does not exist: give a rosbag2 folder" in done.output
+
+
+def test_a_folder_with_other_content_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    (tmp_path / "diary.txt").write_text("dear")
+    done = runner.invoke(app, ["policy", "demonstrate", "--out", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "has other content" in done.output
+    assert [path.name for path in tmp_path.iterdir()] == ["diary.txt"]
