@@ -12,6 +12,9 @@ from codesign_report.video import frame_count, stress_ceiling, write_video
 
 Progress = Callable[[int, int, str], None]
 
+ALONE, SIDE_BY_SIDE = (1280, 720), (960, 540)
+"""Width and height of videos [px]: of one gripper, and of several, which share the page's width."""
+
 
 @dataclass(frozen=True)
 class RunReport:
@@ -28,7 +31,7 @@ def build(
     trials: Sequence[str | Path] | None = None,
     progress: Progress | None = None,
     *,
-    size: tuple[int, int] = (1280, 720),
+    size: tuple[int, int] | None = None,
 ) -> RunReport:
     """Render a video per trial and write summary.json and report.html into the run's folder.
 
@@ -39,7 +42,7 @@ def build(
         run_dir: folder to write to.
         trials: bags; None: every bag folder directly in `run_dir`.
         progress: called with pictures done, pictures in total and the trial's name.
-        size: width and height of the videos, even [px].
+        size: width and height of the videos, even [px]; None: `ALONE` or `SIDE_BY_SIDE`.
 
     Raises:
         BagError: no bag, or none that can be used.
@@ -55,6 +58,8 @@ def build(
     if not recordings:
         raise BagError(skipped[0].reason)
     _require_distinct(recordings)
+    several = len({recording.gripper for recording in recordings}) > 1
+    size = size or (SIDE_BY_SIDE if several else ALONE)
     results = _render_all(recordings, folder, size, progress)
     return RunReport(
         page=write_report(results, folder / "report.html", skipped, _portraits(recordings)),

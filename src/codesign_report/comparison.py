@@ -34,8 +34,8 @@ class GripperResult:
             touched.
         score: equation 2.
         baseline: label of the gripper it is compared with; empty: none, or it is the one.
-        top10_ratio, median_ratio: means over those of the baseline on the seeds of both; NaN
-            without a baseline or a common seed.
+        top10_ratio, median_ratio: means over those of the baseline, on the seeds on which both
+            touched the object; NaN without a baseline or such a seed.
     """
 
     gripper: str
@@ -76,9 +76,9 @@ def _result(own: Sequence[Labelled], baseline: Sequence[Labelled]) -> GripperRes
 
 
 def _ratio(own: Sequence[Labelled], baseline: Sequence[Labelled], name: str) -> float:
-    """Of the means over the seeds that both have."""
+    """Of the means over the seeds on which both touched the object."""
     ours, theirs = ({t.seed: getattr(t.metrics, name) for t in side} for side in (own, baseline))
-    common = sorted(ours.keys() & theirs.keys())
+    common = [s for s in ours.keys() & theirs.keys() if math.isfinite(ours[s] + theirs[s])]
     if not common:
         return math.nan
     return float(np.mean([ours[s] for s in common]) / np.mean([theirs[s] for s in common]))

@@ -61,6 +61,9 @@ def test_the_paper_s_original_comes_before_the_stock_one() -> None:
 
 def test_a_finger_that_never_touched_has_no_stress() -> None:
     missed = trial("a", 0, math.nan, math.nan, success=False)
-    ours, _ = compare([missed, trial("a", 1, 500.0, 100.0), trial("original", 0, 1.0, 1.0)])
+    base = [trial("original", 0, 4000.0, 1.0), trial("original", 1, 1000.0, 1.0)]
+    ours, _ = compare([missed, trial("a", 1, 500.0, 100.0), *base])
     assert ours.top10 == (500.0, 0.0)
+    assert ours.top10_ratio == 0.5  # of the seed on which both touched
+    ours, _ = compare([missed, *base])
     assert math.isnan(ours.top10_ratio)
