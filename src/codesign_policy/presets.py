@@ -28,6 +28,8 @@ class Preset:
         design_temperature_range: bounds of an automatic design temperature.
         design_std: spread of the design actor at the start, before the tanh.
         design_std_range: its bounds.
+        actor_average: rate at which the averaged actor, the one that is served, follows the control
+            actor, per update of that; 1: they are the same.
         imitation: weight of staying close to demonstrated actions, in units of the values' size;
             it counts only where the critics think more of them than of the actor's own.
     """
@@ -52,6 +54,7 @@ class Preset:
     design_temperature_range: tuple[float, float]
     design_std: float
     design_std_range: tuple[float, float]
+    actor_average: float
     imitation: float
 
 
@@ -80,6 +83,7 @@ PUBLISHED = Preset(
     design_temperature_range=(1e-4, 1.0),
     design_std=0.15,
     design_std_range=(1e-4, 0.5),
+    actor_average=1.0,
     imitation=0.0,
 )
 
@@ -108,6 +112,7 @@ FAST = Preset(
     design_temperature_range=(0.01, 0.01),
     design_std=0.05,
     design_std_range=(0.02, 0.1),
+    actor_average=0.002,
     imitation=1.0,
 )
 

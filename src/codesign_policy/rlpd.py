@@ -98,6 +98,7 @@ class Agent:
                 spaces.observation, spaces.control, preset.hidden, self._random
             ),
         }
+        self.averaged = copy.deepcopy(self.actors["control"]).requires_grad_(False)
         per_parameter = preset.design_entropy_per_parameter
         self.temperatures: dict[Stage, Temperature] = {
             "design": Temperature(
@@ -110,6 +111,7 @@ class Agent:
         self._networks = {
             "critics": self.critics,
             "target_critics": self.target_critics,
+            "averaged_actor": self.averaged,
             **{f"{stage}_actor": actor for stage, actor in self.actors.items()},
             **{f"{stage}_temperature": value for stage, value in self.temperatures.items()},
         }
@@ -124,11 +126,15 @@ class Agent:
 
     @torch.no_grad()
     def act(self, observation: NDArray[np.floating], *, explore: bool) -> NDArray[np.float32]:
-        """Control actions (n, 7) in [-1, 1] for observations (n, o); the mean, or drawn."""
+        """Control actions (n, 7) in [-1, 1] for observations (n, o).
+
+        Drawn from the control actor, or the mean of the averaged one: single updates sway what a
+        grasp at the edge of slipping does.
+        """
+        if not explore:
+            return torch.tanh(self.averaged(_tensor(observation))[0]).numpy()
         mean, log_std = self.actors["control"](_tensor(observation))
-        if explore:
-            return sample_squashed(mean, log_std, self._random)[0].numpy()
-        return torch.tanh(mean).numpy()
+        return sample_squashed(mean, log_std, self._random)[0].numpy()
 
     @torch.no_grad()
     def propose_designs(self, observation: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -199,12 +205,7 @@ class Agent:
         targets = self.targets(batch)
         values = self.critics(batch.observation, batch.action)
         error = self._descend("critics", ((values - targets).square() * batch.weight).mean())
-        with torch.no_grad():
-            torch._foreach_lerp_(
-                list(self.target_critics.parameters()),
-                list(self.critics.parameters()),
-                self.preset.target_rate,
-            )
+        _follow(self.target_critics, self.critics, self.preset.target_rate)
         return {"critic_loss": error, "value": values.detach().mean().item()}
 
     def _update_actors(self, batch: Batch) -> dict[str, float]:
@@ -215,6 +216,7 @@ class Agent:
             self._actor_loss("design", batch, ~batch.in_control, log),
         ]
         self._descend("actors", torch.stack([loss for loss in losses if loss is not None]).sum())
+        _follow(self.averaged, self.actors["control"], self.preset.actor_average)
         for network in (self.actors["design"], *self.temperatures.values()):
             network.keep_in_range()  # type: ignore[operator]
         return log
@@ -278,13 +280,13 @@ class Agent:
         return functional.pad(part, (self.spaces.design, 0))
 
     def pair(self, design: NDArray[np.floating], about: dict[str, Any]) -> TrainedPair:
-        """The control actor and a design, to be served.
+        """The averaged control actor and a design, to be served.
 
         Args:
             design: (D,) in [-1, 1], such as that of `choose_design`; empty for given fingers.
             about: where it comes from, plain values.
         """
-        layers = list(self.actors["control"].layers)  # type: ignore[arg-type]
+        layers = list(self.averaged.layers)  # type: ignore[arg-type]
         return TrainedPair(
             tuple(layer.weight.detach().numpy().T.copy() for layer in layers),
             tuple(layer.bias.detach().numpy().copy() for layer in layers),
@@ -316,6 +318,12 @@ class Agent:
             optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
         self._random.set_state(state["random"])
         self.updates = state["updates"]
+
+
+@torch.no_grad()
+def _follow(follower: nn.Module, leader: nn.Module, rate: float) -> None:
+    """Moves the follower's parameters by this share of the way to the leader's."""
+    torch._foreach_lerp_(list(follower.parameters()), list(leader.parameters()), rate)
 
 
 def require_same_shapes(name: str, stored: dict[str, Tensor], mine: dict[str, Tensor]) -> None:

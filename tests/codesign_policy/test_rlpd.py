@@ -250,13 +250,26 @@ def test_restored_agents_go_on_alike() -> None:
     )
 
 
+def test_the_averaged_actor_is_what_is_served() -> None:
+    agent = Agent(SPACES, replace(SMALL, actor_average=0.25), 0)
+    before = agent.averaged.state_dict()["layers.0.bias"].clone()
+    agent.update(batch([True] * 6))
+    after = agent.actors["control"].state_dict()["layers.0.bias"]
+    averaged = agent.averaged.state_dict()["layers.0.bias"]
+    torch.testing.assert_close(averaged, 0.75 * before + 0.25 * after)
+    seen = np.ones((3, 4), np.float32)
+    pair = agent.pair(np.zeros(3), {})
+    np.testing.assert_allclose(agent.act(seen, explore=False), pair.act(seen), atol=1e-6)
+    np.testing.assert_array_equal(pair.biases[0], averaged.numpy())
+
+
 def test_restoring_other_shapes_is_refused_by_name() -> None:
     state = Agent(SPACES, SMALL, 0).state()
     with pytest.raises(
         ValueError, match=r"critics\.biases\.0: stored \(2, 1, 8\), .* \(2, 1, 16\)"
     ):
         Agent(SPACES, replace(SMALL, hidden=(16,)), 0).restore(state)
-    with pytest.raises(ValueError, match=r"design_actor\.log_std: stored \(3,\), .* \(6,\)"):
+    with pytest.raises(ValueError, match=r"averaged_actor\..*weight: stored \(8, 4\), .* \(8, 1\)"):
         Agent(Spaces(1, 6, 2), SMALL, 0).restore(state)
 
 
