@@ -130,7 +130,7 @@ def test_a_trial_lasts_one_episode(trials: dict[str, Any]) -> None:
 
 
 def test_the_graph_goes_where_the_environment_goes(trials: dict[str, Any]) -> None:
-    """The same pair and seed in process; the arm follows by its servo there by a lag of 80 ms."""
+    """The same pair and seed in process, where a lag stands for the arm and its servo."""
     pair = PAIRS["shaped"]
     env = CodesignEnv(SPACE, 4)
     seen, _ = env.reset(seed=SEED, options={"designs": np.tile(pair.design, (4, 1))})
@@ -146,7 +146,7 @@ def test_the_graph_goes_where_the_environment_goes(trials: dict[str, Any]) -> No
     np.testing.assert_allclose(there[-100:, :3], here[-100:, :3], atol=0.0003)
     np.testing.assert_allclose(there[:, 6], here[:, 6], atol=0.0002)
     fingers = env.fingers[0]
-    assert there[-1, 2] == pytest.approx(fingers.tip_depth, abs=0.0002)  # the tips on the table
+    assert there[:, 2].min() > fingers.tip_depth - 0.0001  # pressed down, but not into the table
 
 
 def test_an_unknown_policy_is_refused_by_name(tmp_path: Path) -> None:
