@@ -182,3 +182,14 @@ def test_where_a_person_mounts_fingers_none_are_ordered(
     answer = probe.call("/policy/prepare", PreparePolicy, request, timeout=40.0)
     assert answer.success, answer.message
     assert answer.fingers == made.design.content_hash
+
+
+def test_a_mounted_finger_is_told_by_its_files(graph: Any, probe: Probe, tmp_path: Path) -> None:
+    from codesign_interfaces.srv import PreparePolicy
+
+    ship(PAIRS["shaped"], tmp_path / "shaped")
+    graph.start("finger_design", {"initial": str(tmp_path / "shaped" / "finger")})
+    graph.start("policy", {"policy": str(tmp_path / "shaped"), "orders_fingers": False})
+    answer = probe.call("/policy/prepare", PreparePolicy, PreparePolicy.Request(), timeout=60.0)
+    assert answer.success, answer.message
+    assert answer.message.endswith("ready for fingers shaped")
