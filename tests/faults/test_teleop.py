@@ -123,10 +123,16 @@ def test_without_a_pose_of_the_object_it_is_at_fault(
     joystick.pressed = {HOLD}
     probe.wait_for(lambda: probe.received["/action"], 5.0, "actions")
     arm.sends_pose = False
-    probe.wait_for(lambda: arm.policy_state() == FAULT, 3.0, "a fault")
-    assert probe.latest("/policy/status").message == "no fresh /object_pose"
+    probe.wait_for(
+        lambda: (
+            arm.policy_state() == FAULT
+            and probe.latest("/policy/status").message == "no fresh /object_pose"
+        ),
+        5.0,
+        "a fault that names the pose",
+    )
     arm.sends_pose = True
-    probe.wait_for(lambda: arm.policy_state() == RUNNING, 3.0, "it goes on")
+    probe.wait_for(lambda: arm.policy_state() == RUNNING, 5.0, "it goes on")
 
 
 def test_the_finish_button_ends_the_demonstration(ready: FakeArm, joystick: FakeJoystick) -> None:
