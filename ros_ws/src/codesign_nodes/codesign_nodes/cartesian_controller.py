@@ -470,7 +470,10 @@ class CartesianController(LeanNode):
             return translation
         tcp = self._servo.reference_pose
         grasp = displaced_grasp(tcp, self._gripper, translation, rotation, before)
-        sunk = self._table_height - self._reach.lowest(grasp, after)
+        # The arm turns with a lag: what it leaves may need more room than what it turns to.
+        turning = Pose(grasp.position, self._servo.commanded_pose.quaternion)
+        lowest = min(self._reach.lowest(pose, after) for pose in (grasp, turning))
+        sunk = self._table_height - lowest
         raised = translation.copy()
         raised[2] += np.clip(sunk, 0.0, max(MAX_TRANSLATION - translation[2], 0.0))
         return raised
