@@ -185,11 +185,15 @@ def test_where_a_person_mounts_fingers_none_are_ordered(
 
 
 def test_a_mounted_finger_is_told_by_its_files(graph: Any, probe: Probe, tmp_path: Path) -> None:
+    from codesign_interfaces.msg import FingerDesign
     from codesign_interfaces.srv import PreparePolicy
+    from codesign_nodes import qos
 
     ship(PAIRS["shaped"], tmp_path / "shaped")
     graph.start("finger_design", {"initial": str(tmp_path / "shaped" / "finger")})
     graph.start("policy", {"policy": str(tmp_path / "shaped"), "orders_fingers": False})
+    probe.listen("/finger_design", FingerDesign, qos.LATCHED)
+    probe.wait_for(lambda: probe.received["/finger_design"], 60.0, "the fingers")
     answer = probe.call("/policy/prepare", PreparePolicy, PreparePolicy.Request(), timeout=60.0)
     assert answer.success, answer.message
     assert answer.message.endswith("ready for fingers shaped")
