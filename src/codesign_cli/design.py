@@ -93,6 +93,10 @@ def build(
     simulators: Annotated[
         bool, typer.Option(help="URDF, MJCF with convex pieces, and distance grids too.")
     ] = True,
+    poisson: Annotated[
+        bool,
+        typer.Option("--poisson", help="Make the body from sampled points, as the paper does."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Make a printable, mounted finger pair; exit code 1 if it cannot be printed or used.
@@ -108,7 +112,7 @@ def build(
     from codesign_design.finger_files import save_finger_pair
 
     try:
-        built = build_from_file(source, unit, name or source.stem)
+        built = build_from_file(source, unit, name or source.stem, poisson)
         save_finger_pair(out, built, simulators=simulators)
         write_page(out, built)
     except (ValueError, OSError) as error:

@@ -11,7 +11,7 @@ from codesign_design.design_file import read_parameters, read_surface, write_tex
 from codesign_design.printability import PrintReport
 
 
-def build_from_file(source: Path, unit: str, name: str) -> BuiltFinger:
+def build_from_file(source: Path, unit: str, name: str, poisson: bool = False) -> BuiltFinger:
     """A finger from design parameters (.json) or from a surface file.
 
     Raises:
@@ -20,8 +20,10 @@ def build_from_file(source: Path, unit: str, name: str) -> BuiltFinger:
     """
     if source.suffix == ".json":
         space, parameters = read_parameters(source)
-        return build_finger(space.surface(parameters), name, space.name, parameters.tolist())
-    return build_finger(read_surface(source, unit), name)
+        surface, cage, design = space.surface(parameters), space.name, parameters.tolist()
+    else:
+        surface, cage, design = read_surface(source, unit), "", []
+    return build_finger(surface, name, cage, design, poisson=poisson)
 
 
 def write_page(folder: Path, built: BuiltFinger) -> None:

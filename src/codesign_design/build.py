@@ -19,6 +19,7 @@ from codesign_design.mesh_checks import (
 )
 from codesign_design.mount import MAX_DEPTH, Mounted, mount_finger
 from codesign_design.mount_check import check_mount
+from codesign_design.poisson import reconstruct
 from codesign_design.printability import Deviation, PrintReport, check_printing
 from codesign_design.repair import Repaired, repair, smoothed
 
@@ -57,6 +58,7 @@ def build_finger(
     cage: str = "",
     parameters: Iterable[float] = (),
     mount: str = stock_mount.NAME,
+    poisson: bool = False,
 ) -> BuiltFinger:
     """Repairs a raw surface where needed, mounts and mirrors it, and checks the result.
 
@@ -67,6 +69,7 @@ def build_finger(
         cage: design space that shaped it, empty for none.
         parameters: its design action.
         mount: "stock-m3x2", the only one there is.
+        poisson: make the body from sampled points, as the paper does, even of a valid surface.
 
     Raises:
         ValueError: unknown mount, values that are not finite, or a surface without a solid. A
@@ -74,7 +77,7 @@ def build_finger(
     """
     if mount != stock_mount.NAME:
         raise ValueError(f"mount {mount!r}: there is only {stock_mount.NAME!r}")
-    return finish_finger(surface, shape_finger(surface), name, cage, parameters)
+    return finish_finger(surface, shape_finger(surface, poisson), name, cage, parameters)
 
 
 def finish_finger(
@@ -99,14 +102,14 @@ def finish_finger(
     return BuiltFinger(pair, _report(pair, surface, shape), surface)
 
 
-def shape_finger(surface: TriangleMesh) -> Shape:
+def shape_finger(surface: TriangleMesh, poisson: bool = False) -> Shape:
     """The mounted left finger alone, without the measures of the report.
 
     Raises:
         ValueError: like `build_finger`.
     """
     _check_input(surface)
-    for body, repaired in _candidates(surface):
+    for body, repaired in _candidates(surface, poisson):
         mounted = mount_finger(body)
         shape = Shape(body, mounted, check_mesh(mounted.mesh), repaired)
         if shape.checks.valid:
@@ -114,14 +117,16 @@ def shape_finger(surface: TriangleMesh) -> Shape:
     return shape
 
 
-def _candidates(surface: TriangleMesh) -> Iterator[tuple[TriangleMesh, Repaired | None]]:
+def _candidates(
+    surface: TriangleMesh, poisson: bool
+) -> Iterator[tuple[TriangleMesh, Repaired | None]]:
     """The surface as it is if it is valid, then remeshed, the smoother first.
 
     The union with the mount can spoil a valid surface whose faces touch it edge on.
     """
-    if is_valid(surface):
+    if not poisson and is_valid(surface):
         yield surface, None
-    repaired = repair(surface, MAX_DEPTH)
+    repaired = (reconstruct if poisson else repair)(surface, MAX_DEPTH)
     for iterations in SMOOTHING:
         yield smoothed(repaired.mesh, iterations), repaired
 

@@ -3,7 +3,7 @@
 The solid is where the winding number is positive: overlaps merge, and parts turned inside out
 vanish. It is sampled on a regular grid, with distances to the surface only where the sign changes,
 and meshed by marching cubes; Taubin smoothing (1995) removes the grid's steps without shrinking.
-The paper (section III-A) reconstructs from a sampled point cloud to the same end.
+The paper (section III-A) reconstructs from a sampled point cloud to the same end: `poisson.py`.
 """
 
 from dataclasses import dataclass
@@ -57,14 +57,46 @@ def repair(surface: TriangleMesh, depth: float = np.inf, voxel: float = VOXEL) -
     Raises:
         ValueError: no solid is left, for example because the surface is inside out.
     """
+    axes, voxel = grid_axes(surface, voxel)
+    solid, lost = one_piece(surface, _winding(surface, axes) > 0.5, axes, depth, voxel)
+    volume = int(solid.sum()) * voxel**3
+    return Repaired(_mesh(surface, solid, axes, voxel), voxel, volume, lost)
+
+
+def grid_axes(
+    surface: TriangleMesh, voxel: float, margin: float = _MARGIN
+) -> tuple[list[NDArray[np.float64]], float]:
+    """Coordinates of a grid around the surface along x, y, z, and its spacing, coarser if need be.
+
+    Args:
+        surface: to be covered.
+        voxel: wanted spacing [m].
+        margin: around it [voxels].
+    """
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    size = high - low + 2 * _MARGIN * voxel
+    size = high - low + 2 * margin * voxel
     voxel = max(voxel, float(np.cbrt(size.prod() / MAX_POINTS)))
     axes = [
-        np.arange(a - _MARGIN * voxel, b + _MARGIN * voxel, voxel)
+        np.arange(a - margin * voxel, b + margin * voxel, voxel)
         for a, b in zip(low, high, strict=True)
     ]
-    solid = _winding(surface, axes) > 0.5
+    return axes, voxel
+
+
+def one_piece(
+    surface: TriangleMesh,
+    solid: NDArray[np.bool_],
+    axes: list[NDArray[np.float64]],
+    depth: float,
+    voxel: float,
+) -> tuple[NDArray[np.bool_], float]:
+    """The largest piece of sampled solid, cut at `depth`, cavities filled; the share that is lost.
+
+    Cuts `axes[1]` to the length that is left.
+
+    Raises:
+        ValueError: there is no solid.
+    """
     total = int(solid.sum())
     solid = _largest(solid)
     if not solid.any():
@@ -75,12 +107,11 @@ def repair(surface: TriangleMesh, depth: float = np.inf, voxel: float = VOXEL) -
         )
     lost = 1.0 - int(solid.sum()) / total
     front = int(np.flatnonzero(solid.any(axis=(0, 2)))[0])
-    last = front + int(np.ceil(min(depth, size[1]) / voxel)) + 2
+    size = np.ptp(axes[1])
+    last = front + int(np.ceil(min(depth, size) / voxel)) + 2
     solid, axes[1] = solid[:, : last + 1], axes[1][: last + 1]
     solid[:, -1] = False
-    solid = ndimage.binary_fill_holes(_largest(solid))
-    volume = int(solid.sum()) * voxel**3
-    return Repaired(_mesh(surface, solid, axes, voxel), voxel, volume, lost)
+    return ndimage.binary_fill_holes(_largest(solid)), lost
 
 
 def smoothed(surface: TriangleMesh, iterations: int) -> TriangleMesh:
@@ -136,9 +167,14 @@ def _mesh(
     )
     distance = np.ones(solid.shape)
     distance[index] = np.clip(np.sqrt(squared) / voxel, _LEAST_DISTANCE, 1.0)
-    vertices, faces, _, _ = marching_cubes(
-        np.where(solid, -distance, distance), 0.0, gradient_direction="descent"
-    )
+    return piece_of_level(np.where(solid, -distance, distance), axes, voxel)
+
+
+def piece_of_level(
+    field: NDArray[np.float64], axes: list[NDArray[np.float64]], voxel: float
+) -> TriangleMesh:
+    """The largest piece of the surface around where a sampled field is negative."""
+    vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="descent")
     corner = np.array([axis[0] for axis in axes])
     mesh = TriangleMesh(corner + vertices.astype(np.float64) * voxel, faces.astype(np.int32))
     return _largest_component(mesh)
