@@ -267,7 +267,11 @@ class ControlEnv(VectorEnv):
         self._measured = measure(self.simulator)
         self._log.add(active, self._measured)
         components = step_components(
-            self._log, self._measured, self._tool.position, self._tool.opening
+            self._log,
+            self._measured,
+            self._tool.position,
+            self._tool.opening,
+            increments[:, 3:6],
         )
         rewards = np.where(self._ended, 0.0, weighted(components, self.config.weights))
         truncated = self._log.steps >= self.config.episode_steps

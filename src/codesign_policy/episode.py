@@ -137,7 +137,7 @@ class EpisodeLog:
 
 
 def step_components(
-    log: EpisodeLog, measured: Measured, tool_position: Array, opening: Array
+    log: EpisodeLog, measured: Measured, tool_position: Array, opening: Array, rotation: Array
 ) -> RewardComponents:
     """The reward's components of the control step that ended last; each (E,).
 
@@ -146,6 +146,7 @@ def step_components(
         measured: at its end.
         tool_position: of the grasp frame, (E, 3) [m].
         opening: direction from the right finger to the left one, (E, 3).
+        rotation: vector that the hand was told to turn by, (E, 3) [rad].
     """
     away = measured.centre - tool_position
     left = -(measured.left_force * opening).sum(axis=1)
@@ -158,4 +159,5 @@ def step_components(
         top10_stress=measured.top10_stress,
         mean_stress=measured.mean_stress,
         contact=log.touching,
+        turned=np.linalg.norm(rotation, axis=1),
     )

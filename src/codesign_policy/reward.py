@@ -33,6 +33,8 @@ class RewardWeights:
         contact: per share of `FIRM_GRIP`.
         distance: per metre.
         stress: per Pa of equation 1.
+        turning: per radian. Rotation is not observed (as in the paper), so what is not worth its
+            price would add up over the episode.
     """
 
     lift: float = 1.0
@@ -40,6 +42,7 @@ class RewardWeights:
     contact: float = 0.1
     distance: float = 5.0
     stress: float = 2.5e-4
+    turning: float = 20.0
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class RewardComponents:
         contact: the weaker finger's normal force over `FIRM_GRIP`, 0 to 1.
         distance: minus the horizontal distance of tool and object [m].
         stress: equation 1 while a finger touches the object, else 0 [Pa].
+        turning: minus the angle that the hand was told to turn by [rad].
     """
 
     lift: Array
@@ -59,6 +63,7 @@ class RewardComponents:
     contact: Array
     distance: Array
     stress: Array
+    turning: Array
 
 
 def weighted(components: RewardComponents, weights: RewardWeights) -> Array:
@@ -77,6 +82,7 @@ def reward_components(
     top10_stress: Array,
     mean_stress: Array,
     contact: NDArray[np.bool_],
+    turned: Array,
 ) -> RewardComponents:
     """Components of one control step in E environments, each argument (E,).
 
@@ -87,6 +93,7 @@ def reward_components(
         distance: horizontal, from tool to object [m].
         top10_stress, mean_stress: [Pa].
         contact: whether a finger touches the object.
+        turned: angle that the hand was told to turn by [rad].
     """
     return RewardComponents(
         lift=np.clip(rise / LIFT_GOAL, 0.0, 1.0),
@@ -94,6 +101,7 @@ def reward_components(
         contact=np.clip(normal_force / FIRM_GRIP, 0.0, 1.0),
         distance=-distance,
         stress=np.where(contact, stress_penalty(top10_stress, mean_stress), 0.0),
+        turning=-turned,
     )
 
 

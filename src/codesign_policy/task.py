@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-TASK_VERSION = 1  # of observation, action and reward components: stored transitions name it
+TASK_VERSION = 2  # of observation, action and reward components: stored transitions name it
 POLICY_PERIOD = 0.05  # s, 20 Hz
 EPISODE_STEPS = 200  # 10 s
 

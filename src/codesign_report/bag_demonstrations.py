@@ -122,7 +122,8 @@ def _shown(
     for step, time in enumerate(times[1:]):
         measured = recorded.measured(time)
         log.add(LANE, measured)
-        judged = vars(step_components(log, measured, *recorded.tool(time)))
+        turned = ControlAction.from_normalised(actions[step]).rotation[None]
+        judged = vars(step_components(log, measured, *recorded.tool(time), turned))
         components[step] = [judged[name][0] if name in judged else 0.0 for name in COMPONENTS]
     try:
         metrics = log.metrics(0)

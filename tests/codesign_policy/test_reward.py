@@ -25,6 +25,7 @@ def components(**changed: object) -> RewardComponents:
         "top10_stress": np.array([1000.0]),
         "mean_stress": np.array([500.0]),
         "contact": np.array([True]),
+        "turned": np.array([0.01]),
     }
     return reward_components(**{**usual, **changed})  # type: ignore[arg-type]
 
@@ -53,6 +54,7 @@ def test_components_are_shares_and_physical_terms() -> None:
     assert (c.lift[0], c.held[0], c.contact[0]) == pytest.approx((0.5, 0.0, 0.5))
     assert c.distance[0] == -0.02
     assert c.stress[0] == pytest.approx(-405.0)
+    assert c.turning[0] == -0.01
 
 
 def test_components_end_growing() -> None:
@@ -68,7 +70,7 @@ def test_held_needs_three_steps_and_stress_counts_in_contact_only() -> None:
 
 def test_reward_is_the_weighted_sum_and_can_be_relabelled() -> None:
     c = components()
-    weights = RewardWeights(lift=2.0, held=3.0, contact=4.0, distance=5.0, stress=1e-3)
-    assert weighted(c, weights)[0] == pytest.approx(1.0 + 0.0 + 2.0 - 0.1 - 0.405)
-    heavier = RewardWeights(lift=2.0, held=3.0, contact=4.0, distance=5.0, stress=5e-3)
+    weights = RewardWeights(lift=2.0, held=3.0, contact=4.0, distance=5.0, stress=1e-3, turning=6.0)
+    assert weighted(c, weights)[0] == pytest.approx(1.0 + 0.0 + 2.0 - 0.1 - 0.405 - 0.06)
+    heavier = RewardWeights(lift=2.0, held=3.0, contact=4.0, distance=5.0, stress=5e-3, turning=6.0)
     assert weighted(c, heavier)[0] == pytest.approx(weighted(c, weights)[0] - 4 * 0.405)
