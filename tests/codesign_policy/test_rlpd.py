@@ -41,7 +41,7 @@ def constant_critics(agent: Agent, values: list[float]) -> None:
 
 
 def test_targets_of_both_stages() -> None:
-    """y = r + gamma min Q': gamma 0.97 in control, 1 across the boundary, 0 where terminated."""
+    """y = r + gamma min Q': gamma 0.985 in control, 1 across the boundary, 0 where terminated."""
     agent = Agent(SPACES, SMALL, 0)
     constant_critics(agent, [5.0, 4.0])
     rows = batch(
@@ -49,7 +49,7 @@ def test_targets_of_both_stages() -> None:
         reward=torch.tensor([1.0, 0.0, 2.0]),
         terminated=torch.tensor([False, False, True]),
     )
-    expected = torch.tensor([1.0 + 0.97 * 4.0, 4.0, 2.0])
+    expected = torch.tensor([1.0 + 0.985 * 4.0, 4.0, 2.0])
     torch.testing.assert_close(agent.targets(rows), expected)
 
 
