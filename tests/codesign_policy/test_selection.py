@@ -15,7 +15,8 @@ def test_candidates_are_judged_in_the_simulator(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(selection, "EPISODES", 8)
     monkeypatch.setattr(selection, "KEPT", 1)
     shown = shown_rows("lip-12")
-    config = RunConfig(lanes=8, demonstrations=len(shown.rows))
+    start = shown.gentlest.parameters
+    config = RunConfig(lanes=8, demonstrations=len(shown.rows), start=start)
     training = make_training(config, shown.rows)
     shares: list[float] = []
     judged = select_design(training, config, shares.append)

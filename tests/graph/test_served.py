@@ -173,6 +173,7 @@ def test_where_a_person_mounts_fingers_none_are_ordered(
     assert not answer.success
     assert "fingers 'stock' are in use" in answer.message
     assert "mount its own" in answer.message
+    probe.wait_for(lambda: probe.received["/finger_design"], 20.0, "the fingers in use")
     assert {m.name for _, m in probe.received["/finger_design"]} == {"stock"}
 
     order = GenerateDesign.Request(name="mine", cage=SPACE, parameters=[0.0] * PARAMETERS)
