@@ -2,6 +2,7 @@
 
 import gc
 import math
+import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -167,6 +168,15 @@ def run(make_node: Callable[[], Node]) -> None:
 
     Exits with 0 when stopped by a signal, with 1 and one line on an error.
     """
+    spinning = False
+
+    def interrupt(*_: Any) -> None:
+        """While it spins, rclpy's own handler ends that: an exception from here, amid the
+        conversion of a message, would come out as an error of the conversion."""
+        if not spinning:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)  # before rclpy's, which calls it too
     rclpy.init()
     node: Node | None = None
     executor: SingleThreadedExecutor | None = None
@@ -179,6 +189,7 @@ def run(make_node: Callable[[], Node]) -> None:
         gc.collect()
         gc.freeze()
         executor.add_node(node)
+        spinning = True
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
