@@ -40,7 +40,7 @@ def demo(
 
       codesign demo --policy scripted --trials 5 --seed 10
 
-      codesign demo --policy runs/mine/policy.npz --policy original
+      codesign demo --policy runs/mine --policy runs/original
     """
     bringup = bringup_command()
     names = _policy_options(policy)
