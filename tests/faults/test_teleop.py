@@ -79,7 +79,7 @@ def test_the_arm_follows_a_held_stick_and_halts_when_it_is_let_go(
     assert probe.received["/action"] == []
 
     joystick.pressed = {HOLD}
-    probe.wait_for(lambda: arm.speed() > 0.03, 10.0, "the arm moves")
+    arm.set_moving()
     actions = probe.wait_for(
         lambda: len(a := actions_since(arm, 0.0)) > 20 and a, 5.0, "20 actions"
     )
