@@ -168,11 +168,13 @@ def run(make_node: Callable[[], Node]) -> None:
 
     Exits with 0 when stopped by a signal, with 1 and one line on an error.
     """
-    spinning = False
+    spinning = stopped = False
 
     def interrupt(*_: Any) -> None:
         """While it spins, rclpy's own handler ends that: an exception from here, amid the
         conversion of a message, would come out as an error of the conversion."""
+        nonlocal stopped
+        stopped = True
         if not spinning:
             raise KeyboardInterrupt
 
@@ -194,9 +196,10 @@ def run(make_node: Callable[[], Node]) -> None:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception as error:
-        name = node.get_name() if node else make_node.__name__
-        print(f"{name}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
-        code = 1
+        if not stopped and rclpy.ok():  # else: a callback that the end of the context cut short
+            name = node.get_name() if node else make_node.__name__
+            print(f"{name}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+            code = 1
     finally:
         if node is not None:
             close = getattr(node, "close", None)
