@@ -5,6 +5,8 @@ import math
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
+from codesign_interfaces.msg import ControlAction as ControlActionMsg
 from codesign_interfaces.msg import FingerDesign
 from codesign_interfaces.msg import TrialDomain as TrialDomainMsg
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -13,6 +15,7 @@ from shape_msgs.msg import Mesh, MeshTriangle
 
 from codesign_design.finger_pair import FingerPair, TriangleMesh, check_surface
 from codesign_policy.domain import TrialDomain
+from codesign_policy.task import ControlAction
 
 
 def floats(values: NDArray[Any]) -> array.array:
@@ -47,6 +50,22 @@ def pose(position: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
         position=Point(x=float(position[0]), y=float(position[1]), z=float(position[2])),
         orientation=Quaternion(x=x, y=y, z=z, w=w),
     )
+
+
+def action_message(
+    action: ControlAction, sequence: int, observed: Time, stamp: Time
+) -> ControlActionMsg:
+    """An action as a message: its number, the stamp of what it answers, and when it is sent."""
+    message = ControlActionMsg(
+        observation_stamp=observed,
+        sequence=sequence,
+        translation=vector3(action.translation),
+        rotation=vector3(action.rotation),
+        width=action.width,
+    )
+    message.header.stamp = stamp
+    message.header.frame_id = "link_base"
+    return message
 
 
 def domain_message(domain: TrialDomain) -> TrialDomainMsg:

@@ -211,17 +211,9 @@ class PolicyNode(LeanNode):
             return
         action = self._policy.act(observation)
         self._sequence += 1
-        message = ControlActionMsg(
-            observation_stamp=self._latest["object_pose"].header.stamp,
-            sequence=self._sequence,
-            translation=messages.vector3(action.translation),
-            rotation=messages.vector3(action.rotation),
-            width=action.width,
-        )
-        stamp = message.observation_stamp if self._lockstep else self.get_clock().now().to_msg()
-        message.header.stamp = stamp
-        message.header.frame_id = "link_base"
-        self._action_pub.publish(message)
+        observed = self._latest["object_pose"].header.stamp
+        stamp = observed if self._lockstep else self.get_clock().now().to_msg()
+        self._action_pub.publish(messages.action_message(action, self._sequence, observed, stamp))
         self._state = PolicyStatus.DONE if self._policy.done else PolicyStatus.RUNNING
         self._message = ""
         self._publish_status(stamp)

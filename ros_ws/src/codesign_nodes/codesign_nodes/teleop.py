@@ -105,16 +105,8 @@ class Teleop(LeanNode):
 
     def _publish(self, action: ControlAction, stamp: Any) -> None:
         self._sequence += 1
-        message = ControlActionMsg(
-            observation_stamp=self._latest["/object_pose"].header.stamp,
-            sequence=self._sequence,
-            translation=messages.vector3(action.translation),
-            rotation=messages.vector3(action.rotation),
-            width=action.width,
-        )
-        message.header.stamp = stamp
-        message.header.frame_id = "link_base"
-        self._action_pub.publish(message)
+        observed = self._latest["/object_pose"].header.stamp
+        self._action_pub.publish(messages.action_message(action, self._sequence, observed, stamp))
 
     def _tell(self, missing: list[str], acts: bool, stamp: Any) -> None:
         """The state: a person who waits is at no fault, a missing observation is one."""
