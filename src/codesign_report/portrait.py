@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image as Picture
 
 from codesign_report.recording import TrialRecording
-from codesign_report.scene import FINGER_COLOR, Camera, SceneRenderer
+from codesign_report.scene import FINGER_COLOR, Camera, Look, SceneRenderer
 
 SOLID = (*FINGER_COLOR[:3], 1.0)
 VIEW_HEIGHT = 0.078  # m, of the picture at the object
@@ -43,7 +43,7 @@ def finger_portrait(trial: TrialRecording, width: int = 800, height: int = 460) 
         height,
         table_height=table,
         center=(float(centre[0]), float(centre[1])),
-        finger_color=SOLID,
+        look=Look(finger=SOLID),
     ) as renderer:
         renderer.camera = Camera.look_at(
             target + DISTANCE * np.array(away),

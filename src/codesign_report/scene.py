@@ -1,4 +1,4 @@
-"""Pictures of the grasp: tofu coloured by von Mises stress, two fingers, a table; offscreen.
+"""Pictures of the grasp: tofu coloured by von Mises stress or plain, fingers, a table; offscreen.
 
 MuJoCo serves as a plain mesh renderer: no physics is stepped. Every mesh is uploaded as separate
 triangles, so that this module alone decides on normals and colours. Stress is a texture
@@ -51,6 +51,9 @@ SHADOW_FADE = 0.06
 
 BACKGROUND = (0.955, 0.962, 0.970)
 
+GEOM_DEFAULT = (0.5, 0.5, 0.5, 1.0)
+"""Of MuJoCo: a geom of this colour has the colour of its material."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -59,6 +62,7 @@ class Camera:
     Attributes:
         shift: where the optical axis meets the picture, as a share of its height, right and up
             of the centre.
+        pixel_aspect: width over height of what a pixel sees, fy / fx of a camera matrix.
     """
 
     position: Floats
@@ -66,6 +70,7 @@ class Camera:
     up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     fovy: float = np.radians(24.0)
     shift: tuple[float, float] = (0.0, 0.0)
+    pixel_aspect: float = 1.0
 
     @staticmethod
     def look_at(position: npt.ArrayLike, target: npt.ArrayLike, **kwargs: Any) -> "Camera":
@@ -74,20 +79,74 @@ class Camera:
         return Camera(position, np.asarray(target, dtype=np.float64) - position, **kwargs)
 
 
+Rgba = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colours and quality of a scene; RGB and RGBA from 0 to 1.
+
+    Attributes:
+        tofu: of the soft body where no stress is drawn.
+        finger, body: of the fingers, and of the boxes that hint at the gripper.
+        table: tints the table's picture.
+        grid: lines on the table every 10 mm, for people; without, it is plain.
+        background: where nothing is.
+        shadow: how dark the soft shadows are, 0 to 1.
+        samples: per pixel, 0 (jagged edges), 2, 4 or 8.
+    """
+
+    tofu: Rgba = (0.97, 0.94, 0.86, 1.0)
+    finger: Rgba = FINGER_COLOR
+    body: Rgba = BODY_COLOR
+    table: Rgba = (1.0, 1.0, 1.0, 1.0)
+    grid: bool = True
+    background: tuple[float, float, float] = BACKGROUND
+    shadow: float = SHADOW_ALPHA
+    samples: int = 4
+
+
+@dataclass
+class Prop:
+    """Something rigid beside the grasp, drawn where `position` and `rotation` are at the time.
+
+    Attributes:
+        shape: "box", "cylinder", "sphere", "ellipsoid", "capsule" or "panel".
+        size: half lengths (3) of a box, an ellipsoid and a panel (its third is not used); radius
+            and half length along z of a cylinder and a capsule; radius of a sphere [m].
+        color: RGBA, 0 to 1.
+        position: of its centre in link_base, (3,) [m].
+        rotation: its axes in link_base, (3, 3).
+        picture: of a panel only: what is on it, (rows, columns, 3); its first row lies along +y,
+            seen from +z with x to the right.
+        visible: whether it is drawn.
+    """
+
+    shape: str
+    size: tuple[float, ...]
+    color: Rgba = (0.7, 0.7, 0.7, 1.0)
+    position: Floats = field(default_factory=lambda: np.zeros(3))
+    rotation: Floats = field(default_factory=lambda: np.eye(3))
+    picture: Image | None = None
+    visible: bool = True
+
+
 class SceneRenderer:
-    """Draws the soft body, the fingers, a hint of the gripper and the table.
+    """Draws the soft body, the fingers, a hint of the gripper, the table and other things.
 
     One renderer owns one OpenGL context: use it from the thread that made it, close it when done
     (or use `with`). Poses are (7,) x y z [m] qx qy qz qw of the finger meshes' frame in link_base.
 
     Args:
-        soft_body: topology and rest shape.
-        fingers: left and right mesh.
+        soft_body: topology and rest shape; None: there is none.
+        fingers: left and right mesh, or none at all.
         width, height: of the picture [px].
         stress_range: von Mises stress at both ends of the colour map [Pa].
         table_height: z of the table top [m].
         center: x, y of the scene's middle, where lights aim [m].
-        finger_color: RGBA, 0 to 1.
+        look: colours and quality.
+        props: what else is there. Move, resize (not panels), recolour and hide them between
+            pictures.
 
     Raises:
         RuntimeError: no offscreen OpenGL; the message names the packages.
@@ -96,7 +155,7 @@ class SceneRenderer:
 
     def __init__(
         self,
-        soft_body: SoftBody,
+        soft_body: SoftBody | None,
         fingers: Sequence[TriangleMesh],
         width: int = 1280,
         height: int = 720,
@@ -104,15 +163,16 @@ class SceneRenderer:
         stress_range: tuple[float, float] = (0.0, 8000.0),
         table_height: float = 0.0,
         center: tuple[float, float] = (0.0, 0.0),
-        finger_color: tuple[float, float, float, float] = FINGER_COLOR,
+        look: Look | None = None,
+        props: Sequence[Prop] = (),
     ) -> None:
         if not (16 <= width <= 7680 and 16 <= height <= 4320):
             raise ValueError(f"picture is {width} x {height} px: give 16 x 16 to 7680 x 4320")
         low, high = stress_range
         if not -np.inf < low < high < np.inf:
             raise ValueError(f"stress_range is {stress_range} Pa: give two increasing numbers")
-        if len(fingers) != 2:
-            raise ValueError(f"fingers holds {len(fingers)} meshes: give left and right")
+        if len(fingers) not in (0, 2):
+            raise ValueError(f"fingers holds {len(fingers)} meshes: give left and right, or none")
         self.width, self.height = width, height
         self.table_height = table_height
         self.stress_range = (float(low), float(high))
@@ -120,13 +180,21 @@ class SceneRenderer:
             [center[0] + 0.55, center[1] - 0.3, table_height + 0.25],
             [center[0], center[1], table_height + 0.03],
         )
-        self._rest = soft_body.rest_positions
-        self._soft = _SoftSurface(soft_body)
+        self._look = look or Look()
+        self.props = list(props)
+        for prop in self.props:
+            _check_prop(prop)
+        self._soft = _SoftSurface(soft_body) if soft_body else None
         self._fingers = [_Soup(mesh) for mesh in fingers]
-        self._links = _gripper_links(fingers)
+        self._links = _gripper_links(fingers) if fingers else []
+        # Numbers of the scene's parts, in the order of `_add_geoms`.
+        self._first_finger = 1 if soft_body else 0
+        self._first_link = self._first_finger + len(fingers)
+        self._first_shadow = self._first_link + len(self._links)
+        self._first_prop = self._first_shadow + self._first_link
         self._gl: Any = _gl_context_class()(width, height)
         self._gl.make_current()
-        self._build(table_height, center, finger_color)
+        self._build(table_height, center)
 
     def __enter__(self) -> "SceneRenderer":
         return self
@@ -144,15 +212,15 @@ class SceneRenderer:
 
     def render(
         self,
-        positions: npt.ArrayLike,
-        von_mises: npt.ArrayLike | None,
-        left_pose: npt.ArrayLike,
-        right_pose: npt.ArrayLike,
+        positions: npt.ArrayLike | None = None,
+        von_mises: npt.ArrayLike | None = None,
+        left_pose: npt.ArrayLike | None = None,
+        right_pose: npt.ArrayLike | None = None,
     ) -> Image:
         """One picture.
 
         Args:
-            positions: of the nodes in link_base, (N, 3) [m].
+            positions: of the soft body's nodes in link_base, (N, 3) [m].
             von_mises: per tetrahedron, (E,) [Pa]; None: plain tofu, as a camera sees it.
             left_pose, right_pose: (7,) of the finger meshes.
 
@@ -164,16 +232,19 @@ class SceneRenderer:
         if self._gl is None:
             raise RuntimeError("the renderer is closed: make a new one")
         self._gl.make_current()
-        nodes = np.asarray(positions, dtype=np.float64)
-        self._upload_soft_body(nodes, von_mises)
-        poses = [np.asarray(pose, dtype=np.float64) for pose in (left_pose, right_pose)]
-        solids = [(nodes, _yaw(self._rest, nodes))]
-        for pose, finger in zip(poses, self._fingers, strict=True):
-            rotation = _rotation(pose)
-            yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-            solids.append((finger.corners @ rotation.T + pose[:3], yaw))
-        self._place(*poses)
+        solids: list[tuple[Floats, float]] = []
+        if self._soft:
+            nodes = np.asarray(positions, dtype=np.float64)
+            self._upload_soft_body(self._soft, nodes, von_mises)
+            solids.append((nodes, _yaw(self._soft.rest, nodes)))
+        if self._fingers:
+            poses = [np.asarray(pose, dtype=np.float64) for pose in (left_pose, right_pose)]
+            self._place(*poses)
+            solids += [
+                _placed(finger, pose) for finger, pose in zip(self._fingers, poses, strict=True)
+            ]
         self._cast_shadows(solids)
+        self._place_props()
         mujoco.mjv_updateScene(
             self._model, self._data, self._option, None, mujoco.MjvCamera(),
             mujoco.mjtCatBit.mjCAT_ALL.value, self._scene,
@@ -187,14 +258,16 @@ class SceneRenderer:
 
     # -- one frame -------------------------------------------------------------------------------
 
-    def _upload_soft_body(self, positions: Floats, von_mises: npt.ArrayLike | None) -> None:
+    def _upload_soft_body(
+        self, soft: "_SoftSurface", positions: Floats, von_mises: npt.ArrayLike | None
+    ) -> None:
         import mujoco
 
-        vertices, normals = self._soft.shape(positions)
+        vertices, normals = soft.shape(positions)
         values = np.zeros(len(vertices))
         if von_mises is not None:
             low, high = self.stress_range
-            stress = self._soft.values(np.asarray(von_mises, dtype=np.float64))
+            stress = soft.values(np.asarray(von_mises, dtype=np.float64))
             values = np.clip((stress - low) / (high - low), 0.0, 1.0)
         model = self._model
         first = model.mesh_vertadr[0]
@@ -207,16 +280,25 @@ class SceneRenderer:
     def _place(self, left: Floats, right: Floats) -> None:
         rotations = [_rotation(left), _rotation(right)]
         for i, (pose, rotation) in enumerate(zip((left, right), rotations, strict=True)):
-            self._set_geom(1 + i, pose[:3], rotation)
+            self._set_geom(self._first_finger + i, pose[:3], rotation)
         palm = (left[:3] + right[:3]) / 2.0
         for i, link in enumerate(self._links):
             origin = palm if link.finger is None else (left, right)[link.finger][:3]
             rotation = rotations[link.finger or 0]
-            self._set_geom(3 + i, origin + rotation @ link.center, rotation)
+            self._set_geom(self._first_link + i, origin + rotation @ link.center, rotation)
+
+    def _place_props(self) -> None:
+        for i, prop in enumerate(self.props):
+            geom = self._first_prop + i
+            self._set_geom(geom, prop.position, prop.rotation)
+            color = prop.color if prop.picture is None else GEOM_DEFAULT
+            self._model.geom_rgba[geom] = color if prop.visible else (0.0, 0.0, 0.0, 0.0)
+            if prop.picture is None:
+                self._model.geom_size[geom, : len(prop.size)] = prop.size
 
     def _cast_shadows(self, solids: Sequence[tuple[Floats, float]]) -> None:
         """A soft blot under each solid (points, yaw): true shadows take twice the time."""
-        first = 3 + len(self._links)
+        first = self._first_shadow
         for i, (points, yaw) in enumerate(solids):
             turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
             local = points[:, :2] @ turn
@@ -228,9 +310,8 @@ class SceneRenderer:
             height = self.table_height + 2e-4 * (i + 1)
             self._set_geom(first + i, np.array([*turn @ (low + high) / 2.0, height]), rotation)
             self._model.geom_size[first + i, :2] = SHADOW_SPREAD * (high - low) / 2.0 + 0.2 * rise
-            self._model.mat_rgba[self._model.geom_matid[first + i], 3] = SHADOW_ALPHA * 0.5 ** (
-                rise / SHADOW_FADE
-            )
+            darkness = self._look.shadow * 0.5 ** (rise / SHADOW_FADE)
+            self._model.mat_rgba[self._model.geom_matid[first + i], 3] = darkness
 
     def _set_geom(self, index: int, position: Floats, rotation: Floats) -> None:
         self._data.geom_xpos[index] = position
@@ -250,8 +331,8 @@ class SceneRenderer:
             eye.frustum_near, eye.frustum_far = near, far
             eye.frustum_top = half * (1.0 - 2.0 * camera.shift[1])
             eye.frustum_bottom = -half * (1.0 + 2.0 * camera.shift[1])
-            eye.frustum_width = half * self.width / self.height
-            eye.frustum_center = -half * 2.0 * camera.shift[0]
+            eye.frustum_width = half * camera.pixel_aspect * self.width / self.height
+            eye.frustum_center = -half * camera.pixel_aspect * 2.0 * camera.shift[0]
             eye.orthographic = 0
         # The lamp rides with the camera, behind its left shoulder: what it sees is always lit.
         level = np.array([forward[0], forward[1], 0.0])
@@ -263,24 +344,19 @@ class SceneRenderer:
 
     # -- the scene -------------------------------------------------------------------------------
 
-    def _build(
-        self,
-        table_height: float,
-        center: tuple[float, float],
-        finger_color: tuple[float, float, float, float],
-    ) -> None:
+    def _build(self, table_height: float, center: tuple[float, float]) -> None:
         import mujoco
 
         spec = mujoco.MjSpec()
         spec.visual.global_.offwidth, spec.visual.global_.offheight = self.width, self.height
-        spec.visual.quality.offsamples = 4
+        spec.visual.quality.offsamples = self._look.samples
         spec.visual.headlight.ambient = [0.56] * 3
         spec.visual.headlight.diffuse = [0.24] * 3
         spec.visual.headlight.specular = [0.0] * 3
-        spec.visual.rgba.haze = [*BACKGROUND, 1.0]
+        spec.visual.rgba.haze = [*self._look.background, 1.0]
         spec.stat.extent = 1.0
         spec.stat.center = [*center, table_height]
-        _add_materials(spec, finger_color)
+        _add_materials(spec, self._look)
         self._add_geoms(spec, table_height, center)
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -292,8 +368,9 @@ class SceneRenderer:
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         self._undo_recentring()
-        self._set_geom(0, np.zeros(3), np.eye(3))
-        self._scene = mujoco.MjvScene(self._model, maxgeom=64)
+        if self._soft:
+            self._set_geom(0, np.zeros(3), np.eye(3))
+        self._scene = mujoco.MjvScene(self._model, maxgeom=64 + len(self.props))
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = True
@@ -304,8 +381,8 @@ class SceneRenderer:
     def _add_geoms(self, spec: Any, table_height: float, center: tuple[float, float]) -> None:
         import mujoco
 
-        soups = [self._soft.soup, *self._fingers]
-        for name, soup in zip(("soft", "left", "right"), soups, strict=True):
+        soups = self._soups()
+        for name, soup in soups.items():
             _add_mesh(spec, name, soup)
             spec.worldbody.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
@@ -319,9 +396,12 @@ class SceneRenderer:
                 type=mujoco.mjtGeom.mjGEOM_BOX, size=link.half_size, material="body"
             )
         for i in range(len(soups)):
+            _add_shadow(spec, i)
             spec.worldbody.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.05, 0.05, 0.01], material=f"shadow{i}"
             )
+        for i, prop in enumerate(self.props):
+            _add_prop(spec, f"prop{i}", prop)
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_PLANE,
             size=[0, 0, 0.01],
@@ -329,13 +409,20 @@ class SceneRenderer:
             material="table",
         )
 
+    def _soups(self) -> dict[str, "_Soup"]:
+        """The scene's meshes by name, in the model's order."""
+        soft = {"soft": self._soft.soup} if self._soft else {}
+        return soft | dict(zip(("left", "right"), self._fingers, strict=False))
+
     def _undo_recentring(self) -> None:
         """The compiler moves meshes to their principal axes; put back the given frames."""
-        soups = [self._soft.soup, *self._fingers]
-        for first, soup in zip(self._model.mesh_vertadr, soups, strict=True):
-            span = slice(first, first + len(soup.corners))
-            self._model.mesh_vert[span] = soup.corners
-            self._model.mesh_normal[span] = soup.normals
+        panels = [_panel_corners(prop) for prop in self.props if prop.picture is not None]
+        soups = [(soup.corners, soup.normals) for soup in self._soups().values()]
+        pairs = [*soups, *((corners, np.tile([0.0, 0.0, 1.0], (6, 1))) for corners in panels)]
+        for first, (corners, normals) in zip(self._model.mesh_vertadr, pairs, strict=True):
+            span = slice(first, first + len(corners))
+            self._model.mesh_vert[span] = corners
+            self._model.mesh_normal[span] = normals
 
 
 @dataclass(frozen=True)
@@ -368,6 +455,7 @@ class _SoftSurface:
     """Surface of the soft body: shape and per-corner stress."""
 
     def __init__(self, body: SoftBody) -> None:
+        self.rest = body.rest_positions
         self.soup = _Soup(TriangleMesh(body.rest_positions, body.surface_triangles))
         corner_nodes = body.surface_triangles.ravel()
         tets = np.repeat(body.surface_tetrahedra, 3)
@@ -429,28 +517,80 @@ def _add_mesh(spec: Any, name: str, soup: _Soup) -> None:
     )
 
 
-def _add_materials(spec: Any, finger_color: tuple[float, float, float, float]) -> None:
+def _add_materials(spec: Any, look: Look) -> None:
     import mujoco
 
     _add_texture(spec, "stress", _stress_texture())
-    _add_texture(spec, "grid", _grid_texture())
+    _add_texture(spec, "grid", _grid_texture() if look.grid else _plain_texture())
     _add_texture(spec, "shadow", _shadow_texture())
     rgb = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
     soft = {"rgba": [SOFT_ALBEDO] * 3 + [1.0], "emission": SOFT_EMISSION, "specular": 0.0}
     stress = spec.add_material(name="stress", **soft)
     stress.textures[rgb] = "stress"
-    spec.add_material(name="tofu", rgba=[0.97, 0.94, 0.86, 1.0], specular=0.1)
-    spec.add_material(name="finger", rgba=finger_color, specular=0.5, shininess=0.4)
-    spec.add_material(name="body", rgba=BODY_COLOR, specular=0.2)
-    for i in range(3):
-        shadow = spec.add_material(
-            name=f"shadow{i}", rgba=[0.10, 0.13, 0.17, 0.5], specular=0.0, emission=1.0
-        )
-        shadow.textures[rgb] = "shadow"
+    spec.add_material(name="tofu", rgba=look.tofu, specular=0.1)
+    spec.add_material(name="finger", rgba=look.finger, specular=0.5, shininess=0.4)
+    spec.add_material(name="body", rgba=look.body, specular=0.2)
     table = spec.add_material(
-        name="table", rgba=[1.0] * 4, specular=0.0, texuniform=True, texrepeat=[20.0, 20.0]
+        name="table", rgba=look.table, specular=0.0, texuniform=True, texrepeat=[20.0, 20.0]
     )
     table.textures[rgb] = "grid"
+
+
+def _add_shadow(spec: Any, index: int) -> None:
+    import mujoco
+
+    shadow = spec.add_material(
+        name=f"shadow{index}", rgba=[0.10, 0.13, 0.17, 0.5], specular=0.0, emission=1.0
+    )
+    shadow.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "shadow"
+
+
+PROP_SIZES = {"box": 3, "cylinder": 2, "sphere": 1, "ellipsoid": 3, "capsule": 2, "panel": 3}
+
+
+def _check_prop(prop: Prop) -> None:
+    count = PROP_SIZES.get(prop.shape)
+    if count is None:
+        raise ValueError(f"prop of shape {prop.shape!r}: give one of {', '.join(PROP_SIZES)}")
+    if len(prop.size) != count or not all(0.0 < s < np.inf for s in prop.size):
+        raise ValueError(f"{prop.shape} of size {prop.size}: give {count} positive lengths [m]")
+    if (prop.picture is not None) != (prop.shape == "panel"):
+        raise ValueError(f"{prop.shape} with picture {prop.picture is not None}: a panel has one")
+
+
+def _add_prop(spec: Any, name: str, prop: Prop) -> None:
+    import mujoco
+
+    if prop.picture is None:
+        kind = getattr(mujoco.mjtGeom, f"mjGEOM_{prop.shape.upper()}")
+        spec.worldbody.add_geom(type=kind, size=[*prop.size, 0.0, 0.0][:3], rgba=prop.color)
+        return
+    _add_texture(spec, name, np.ascontiguousarray(prop.picture[::-1]))
+    # Lit from anywhere it shows its picture a little darker, as paper does.
+    material = spec.add_material(name=name, rgba=[1.0] * 4, specular=0.0)
+    material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
+    corners = _panel_corners(prop)
+    order = np.arange(6).tolist()
+    spec.add_mesh(
+        name=name,
+        uservert=corners.ravel().tolist(),
+        usernormal=[0.0, 0.0, 1.0] * 6,
+        usertexcoord=(corners[:, :2] / (2.0 * np.array(prop.size[:2])) + 0.5).ravel().tolist(),
+        userface=order,
+        userfacenormal=order,
+        userfacetexcoord=order,
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, contype=0, conaffinity=0
+    )
+
+
+def _panel_corners(prop: Prop) -> Floats:
+    """Of two triangles that face +z, (6, 3) [m]."""
+    x, y = prop.size[:2]
+    a, b, c, d = ([-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0])
+    return np.array([a, b, c, a, c, d])
 
 
 def _add_texture(spec: Any, name: str, pixels: Image) -> None:
@@ -510,6 +650,10 @@ def _grid_texture() -> Image:
     return pixels
 
 
+def _plain_texture() -> Image:
+    return np.full((4, 4, 3), 255, dtype=np.uint8)
+
+
 def _shadow_texture() -> Image:
     """A blurred rectangle as an alpha channel; white, to be tinted by its material."""
     ramp = np.linspace(-1.0, 1.0, 128)
@@ -518,6 +662,12 @@ def _shadow_texture() -> Image:
     pixels = np.full((128, 128, 4), 255, dtype=np.uint8)
     pixels[..., 3] = np.round(255.0 * np.outer(profile, profile))
     return pixels
+
+
+def _placed(finger: _Soup, pose: Floats) -> tuple[Floats, float]:
+    """A finger's corners in link_base and the turn of its frame about z [rad]."""
+    rotation = _rotation(pose)
+    return finger.corners @ rotation.T + pose[:3], float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
 def _yaw(rest: Floats, current: Floats) -> float:
