@@ -145,7 +145,7 @@ class SceneRenderer:
         table_height: z of the table top [m].
         center: x, y of the scene's middle, where lights aim [m].
         look: colours and quality.
-        props: what else is there. Move, resize (not panels), recolour and hide them between
+        props: what else is there. Move, reshape (not panels), recolour and hide them between
             pictures.
 
     Raises:
@@ -294,6 +294,8 @@ class SceneRenderer:
             color = prop.color if prop.picture is None else GEOM_DEFAULT
             self._model.geom_rgba[geom] = color if prop.visible else (0.0, 0.0, 0.0, 0.0)
             if prop.picture is None:
+                _check_prop(prop)
+                self._model.geom_type[geom] = _geom_type(prop.shape)
                 self._model.geom_size[geom, : len(prop.size)] = prop.size
 
     def _cast_shadows(self, solids: Sequence[tuple[Floats, float]]) -> None:
@@ -558,11 +560,17 @@ def _check_prop(prop: Prop) -> None:
         raise ValueError(f"{prop.shape} with picture {prop.picture is not None}: a panel has one")
 
 
+def _geom_type(shape: str) -> Any:
+    import mujoco
+
+    return getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")
+
+
 def _add_prop(spec: Any, name: str, prop: Prop) -> None:
     import mujoco
 
     if prop.picture is None:
-        kind = getattr(mujoco.mjtGeom, f"mjGEOM_{prop.shape.upper()}")
+        kind = _geom_type(prop.shape)
         spec.worldbody.add_geom(type=kind, size=[*prop.size, 0.0, 0.0][:3], rgba=prop.color)
         return
     _add_texture(spec, name, np.ascontiguousarray(prop.picture[::-1]))
