@@ -40,6 +40,13 @@ def train(
     designs: Annotated[
         str, typer.Option(help="From 'search' (CMA-ES) or the 'actor' (the paper's).")
     ] = "search",
+    design_observation: Annotated[
+        str,
+        typer.Option(
+            help="d, what is observed of the design: 'full', or 'scalar' as in the paper: its "
+            "component in the direction in which demonstrated designs differ most."
+        ),
+    ] = "full",
     transitions: TransitionsOption = 240_000,
     seed: SeedOption = 0,
     lanes: LanesOption = 16,
@@ -75,6 +82,8 @@ def train(
                 f"preset {preset!r}, designs from {designs!r}: presets are {', '.join(PRESETS)}; "
                 "designs come from search or actor"
             )
+        if design_observation not in ("full", "scalar"):
+            raise ValueError(f"design observation {design_observation!r}: full or scalar")
         config = RunConfig(
             space="" if space == "stock" else space,
             preset=preset,
@@ -89,7 +98,9 @@ def train(
             training, config = _resumed(out, transitions)
         else:
             _require_new(out)
-            training, config = _started(config, demonstrations, without_demonstrations)
+            training, config = _started(
+                config, demonstrations, without_demonstrations, design_observation == "scalar"
+            )
             config.save(out)
         _run(training, config, out, quiet)
 
@@ -264,17 +275,23 @@ def show(
 # ------------------------------------------------------------------------ starting
 
 
-def _started(config: RunConfig, source: Path | None, without: bool) -> tuple[Training, RunConfig]:
+def _started(
+    config: RunConfig, source: Path | None, without: bool, scalar: bool
+) -> tuple[Training, RunConfig]:
     """A new run with its demonstrations."""
     from codesign_policy.control_demonstrations import scripted_rows
-    from codesign_policy.run import make_training, shown_rows
+    from codesign_policy.run import make_training, principal_direction, shown_rows
 
+    if scalar and (without or not config.space):
+        raise ValueError("a scalar d comes from demonstrated designs: give a space and these")
     if without:
         return make_training(config, None), config
     if config.space:
         shown = shown_rows(config.space, source)
         rows = shown.rows
         config = replace(config, start=shown.gentlest.parameters)
+        if scalar:
+            config = replace(config, design_direction=principal_direction(shown.designs))
     else:
         rows = scripted_rows(config)
     config = replace(config, demonstrations=len(rows))

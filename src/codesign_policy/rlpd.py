@@ -11,7 +11,7 @@ Nothing leads back into the design stage, so every target needs the control acto
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -68,6 +68,7 @@ class Agent:
         preset: Preset,
         seed: int,
         start_design: NDArray[np.floating] | None = None,
+        design_direction: NDArray[np.floating] | None = None,
     ) -> None:
         """
         Args:
@@ -76,16 +77,27 @@ class Agent:
             seed: of weights and exploration.
             start_design: where the design actor starts, (D,) in [-1, 1], such as a demonstration;
                 None: at zero, the base mesh as it is.
+            design_direction: (D,), makes d the paper's scalar: of the design in an observation
+                networks see its component in this direction alone. None: all of it.
 
         Raises:
-            ValueError: a start design of another size or outside [-1, 1].
+            ValueError: a start design or direction of another size, or a start outside [-1, 1].
         """
         self.spaces, self.preset, self.updates = spaces, preset, 0
         self._random = torch.Generator().manual_seed(seed)
         start = np.zeros(spaces.design) if start_design is None else np.asarray(start_design)
         if start.shape != (spaces.design,) or not (np.abs(start) <= 1.0).all():
             raise ValueError(f"start design {start}: must be {spaces.design} numbers in [-1, 1]")
-        inputs = spaces.observation + spaces.action
+        self._direction = None
+        if design_direction is not None:
+            self._direction = torch.as_tensor(np.asarray(design_direction), dtype=torch.float32)
+            if self._direction.shape != (spaces.design,) or not spaces.design:
+                raise ValueError(
+                    f"design direction {design_direction}: must be {spaces.design} numbers, at "
+                    "least one"
+                )
+        seen = spaces.observation - (0 if self._direction is None else spaces.design - 1)
+        inputs = seen + spaces.action
         self.critics = CriticEnsemble(preset.critics, inputs, preset.hidden, self._random)
         self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
         self.actors: dict[Stage, nn.Module] = {
@@ -94,9 +106,7 @@ class Agent:
                 preset.design_std,
                 preset.design_std_range,
             ),
-            "control": ControlActor(
-                spaces.observation, spaces.control, preset.hidden, self._random
-            ),
+            "control": ControlActor(seen, spaces.control, preset.hidden, self._random),
         }
         self.averaged = copy.deepcopy(self.actors["control"]).requires_grad_(False)
         per_parameter = preset.design_entropy_per_parameter
@@ -124,6 +134,15 @@ class Agent:
         parameters = [p for net in networks for p in net.parameters() if p.requires_grad]
         return torch.optim.Adam(parameters, lr=self.preset.learning_rate, fused=True)
 
+    def _seen(self, observation: NDArray[np.floating] | Tensor) -> Tensor:
+        """What networks see of observations (..., o): with a design direction, a scalar d."""
+        whole = torch.as_tensor(observation, dtype=torch.float32)
+        if self._direction is None:
+            return whole
+        split = self.spaces.observation - self.spaces.design
+        d = whole[..., split:] @ self._direction
+        return torch.cat([whole[..., :split], d.unsqueeze(-1)], dim=-1)
+
     @torch.no_grad()
     def act(self, observation: NDArray[np.floating], *, explore: bool) -> NDArray[np.float32]:
         """Control actions (n, 7) in [-1, 1] for observations (n, o).
@@ -132,14 +151,14 @@ class Agent:
         grasp at the edge of slipping does.
         """
         if not explore:
-            return torch.tanh(self.averaged(_tensor(observation))[0]).numpy()
-        mean, log_std = self.actors["control"](_tensor(observation))
+            return torch.tanh(self.averaged(self._seen(observation))[0]).numpy()
+        mean, log_std = self.actors["control"](self._seen(observation))
         return sample_squashed(mean, log_std, self._random)[0].numpy()
 
     @torch.no_grad()
     def propose_designs(self, observation: NDArray[np.floating]) -> NDArray[np.float32]:
         """Designs (n, D) in [-1, 1], drawn for design observations (n, o)."""
-        mean, log_std = self.actors["design"](_tensor(observation))
+        mean, log_std = self.actors["design"](self._seen(observation))
         return sample_squashed(mean, log_std, self._random)[0].numpy()
 
     @torch.no_grad()
@@ -151,7 +170,7 @@ class Agent:
         The value is the discounted return of the control stage.
         """
         action = self._joint("design", _tensor(designs))
-        return self.critics(_tensor(observation).expand(len(action), -1), action).numpy()
+        return self.critics(self._seen(observation).expand(len(action), -1), action).numpy()
 
     def choose_design(
         self, candidates: NDArray[np.floating], observation: NDArray[np.floating]
@@ -175,6 +194,11 @@ class Agent:
         Raises:
             LearningError: a loss that is not finite.
         """
+        batch = replace(
+            batch,
+            observation=self._seen(batch.observation),
+            next_observation=self._seen(batch.next_observation),
+        )
         log = self._update_critics(batch)
         self.updates += 1
         if self.updates % self.preset.actor_period == 0:
@@ -287,8 +311,11 @@ class Agent:
             about: where it comes from, plain values.
         """
         layers = list(self.averaged.layers)  # type: ignore[arg-type]
+        weights = [layer.weight.detach().numpy().T.copy() for layer in layers]
+        if self._direction is not None:  # d is linear in the design, so it goes into the weights
+            weights[0] = np.vstack([weights[0][:-1], np.outer(self._direction, weights[0][-1])])
         return TrainedPair(
-            tuple(layer.weight.detach().numpy().T.copy() for layer in layers),
+            tuple(weights),
             tuple(layer.bias.detach().numpy().copy() for layer in layers),
             np.array(design, np.float32),
             about,

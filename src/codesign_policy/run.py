@@ -50,6 +50,8 @@ class RunConfig:
         space: design space; empty: the stock fingers, and control alone is learned.
         design: fixed parameters in that space: control alone is learned; empty: the design too.
         start: where designs start, in [-1, 1]; empty: at the base mesh.
+        design_direction: unit vector (D,): d is the design's component in it, the paper's scalar;
+            empty: d is the whole design.
         preset: of the learner.
         search: whether designs come from `DesignSearch` instead of the design actor.
         transitions: budget, of the control stage.
@@ -66,6 +68,7 @@ class RunConfig:
     space: str = "lip-12"
     design: tuple[float, ...] = ()
     start: tuple[float, ...] = ()
+    design_direction: tuple[float, ...] = ()
     preset: str = "fast"
     search: bool = True
     transitions: int = 240_000
@@ -115,7 +118,8 @@ def load_run(folder: Path) -> RunConfig:
     """
     try:
         values = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
-        lists = {name: tuple(values[name]) for name in ("design", "start", "friction")}
+        named = ("design", "start", "design_direction", "friction")
+        lists = {name: tuple(values.get(name, ())) for name in named}
         return RunConfig(**{**values, **lists})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(
@@ -179,12 +183,28 @@ def make_training(
     episodes = make_episodes(config)
     start = np.array(config.start or (0.0,) * config.spaces.design)
     if agent is None:
-        agent = Agent(config.spaces, PRESETS[config.preset], config.seed, start)
+        direction = np.array(config.design_direction) if config.design_direction else None
+        agent = Agent(config.spaces, PRESETS[config.preset], config.seed, start, direction)
     search = None
     if config.learns_design and config.search:
         search = DesignSearch(start, config.lanes, SearchSettings(), config.seed)
     training = TrainingConfig(config.transitions, config.weights, config.seed)
     return Training(agent, episodes, training, demonstrations, search)
+
+
+def principal_direction(designs: NDArray[np.floating]) -> tuple[float, ...]:
+    """The direction (D,) in which designs (n, D) differ most, a unit vector.
+
+    Raises:
+        ValueError: fewer than two different designs.
+    """
+    apart = np.asarray(designs, np.float64) - np.mean(designs, axis=0)
+    if len(apart) < 2 or not np.abs(apart).max():
+        raise ValueError(
+            f"{len(apart)} demonstrated designs, none different: a scalar d needs at least two"
+        )
+    first = np.linalg.svd(apart, full_matrices=False)[2][0]
+    return tuple((first * np.sign(first[np.abs(first).argmax()])).tolist())
 
 
 def shown_rows(space: str, source: str | Path | None = None) -> Demonstrations:

@@ -313,3 +313,31 @@ def test_nothing_is_imitated_without_demonstrations() -> None:
     agent.critics = Parabola(torch.tensor([0.5, 0.0]))  # type: ignore[assignment]
     loss, log = imitation(agent, batch([True] * 4))
     assert (loss.item(), log["imitated"]) == (0.0, 0.0)
+
+
+def test_a_scalar_d_is_the_component_in_one_direction() -> None:
+    """Observations that differ across the direction alone look the same to every network."""
+    direction = np.array([0.6, 0.8, 0.0])
+    agent = Agent(SPACES, SMALL, 0, design_direction=direction)
+    here = np.array([0.3, 0.1, 0.2, 0.5], np.float32)
+    across = here + np.array([0.0, -0.8, 0.6, 0.4], np.float32)
+    along = here + np.array([0.0, 0.6, 0.8, 0.0], np.float32)
+    actions = agent.act(np.stack([here, across, along]), explore=False)
+    np.testing.assert_allclose(actions[0], actions[1], atol=1e-6)
+    assert np.abs(actions[0] - actions[2]).max() > 1e-3
+    designs = np.zeros((1, 3), np.float32)
+    values = [agent.design_values(designs, seen) for seen in (here, across)]
+    np.testing.assert_allclose(*values, atol=1e-5)
+
+
+def test_a_pair_with_a_scalar_d_takes_whole_observations() -> None:
+    agent = Agent(SPACES, SMALL, 0, design_direction=np.array([0.6, 0.8, 0.0]))
+    agent.update(batch([True, False, True, True, False, True]))
+    pair = agent.pair(np.zeros(3), {})
+    seen = np.random.default_rng(0).normal(size=(5, 4)).astype(np.float32)
+    np.testing.assert_allclose(pair.act(seen), agent.act(seen, explore=False), atol=1e-6)
+
+
+def test_design_directions_are_checked() -> None:
+    with pytest.raises(ValueError, match="must be 3 numbers"):
+        Agent(SPACES, SMALL, 0, design_direction=np.ones(2))

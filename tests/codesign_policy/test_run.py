@@ -14,7 +14,14 @@ from codesign_policy.presets import FAST
 from codesign_policy.replay import Spaces
 from codesign_policy.reward import RewardWeights
 from codesign_policy.rlpd import Agent
-from codesign_policy.run import RunConfig, fingers_of, load_run, make_training, shown_rows
+from codesign_policy.run import (
+    RunConfig,
+    fingers_of,
+    load_run,
+    make_training,
+    principal_direction,
+    shown_rows,
+)
 
 STOCK = RunConfig(space="", lanes=4, transitions=800)
 
@@ -94,3 +101,10 @@ def test_fixed_designs_must_be_usable() -> None:
     with pytest.raises(ValueError, match="design of lip-12"):
         fingers_of("lip-12", np.zeros(36))  # the base mesh touches the knuckle
     assert fingers_of("lip-12", shown_rows("lip-12").designs[0]).cage == "lip-12"
+
+
+def test_the_scalar_d_is_where_demonstrated_designs_differ() -> None:
+    line = np.array([0.1, 0.0, -0.2]) + np.outer([-1.0, 0.2, 0.7], [3.0, 0.0, 4.0])
+    np.testing.assert_allclose(principal_direction(line), [0.6, 0.0, 0.8], atol=1e-12)
+    with pytest.raises(ValueError, match="none different"):
+        principal_direction(np.ones((3, 4)))
