@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from codesign_policy.evaluation import Evaluation
     from codesign_policy.policy_file import TrainedPair
     from codesign_policy.run import RunConfig
@@ -392,7 +395,22 @@ def _finish(training: Training, config: RunConfig, out: Path, quiet: bool) -> No
         "commit": config.commit,
     }
     training.agent.pair(np.array(design), about).save(out / "policy.npz")
+    _draw_finger(config.space, np.array(design), out / "finger.png")
     typer.echo(f"pair: {out / 'policy.npz'}")
+
+
+def _draw_finger(space: str, design: NDArray[np.floating], path: Path) -> None:
+    """A picture of the finger that a run has ended with."""
+    from codesign_design.design_space import design_space
+    from codesign_design.pictures import design_picture, finger_picture, save
+    from codesign_design.stock import stock_fingers
+
+    save(
+        design_picture(design_space(space), design)
+        if space
+        else finger_picture(stock_fingers().left),
+        path,
+    )
 
 
 def _words(progress: Progress) -> str:

@@ -61,6 +61,17 @@ def design_picture(
     return figure
 
 
+def finger_picture(mesh: TriangleMesh) -> Figure:
+    """A finger that has no cage, such as the stock one, from two sides."""
+    figure = Figure(figsize=(7.2, 4.0))
+    figure.subplots_adjust(left=0.01, right=0.98, bottom=0.02, top=0.92, wspace=0.04)
+    for k, (azimuth, title) in enumerate(((-125, "contact side"), (55, "back"))):
+        axes = figure.add_subplot(1, 2, k + 1, projection="3d")
+        draw_surface(axes, mesh, FINGER, bounds=[mesh.vertices], azimuth=azimuth)
+        axes.set_title(title)
+    return figure
+
+
 def curve_picture(fit: Fit) -> Figure:
     """How the best restart's Chamfer distance fell."""
     figure = Figure(figsize=(6.0, 3.2), layout="constrained")

@@ -5,7 +5,7 @@ checkpoint.pt   everything to go on; configuration.json beside it
 history.csv     one row per round; tensorboard/ the same for TensorBoard
 selection.json  designs that were judged at the end, of a run that learns the design too
 policy.npz      the pair to be served
-curves.png      success, stress, return over transitions
+curves.png      success, stress, return over transitions; finger.png the finger
 """
 
 import json

@@ -38,7 +38,14 @@ def trained(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_run_keeps_what_made_it(trained: Path) -> None:
     files = {path.name for path in trained.iterdir()}
-    assert files >= {"run.json", "checkpoint.pt", "history.csv", "curves.png", "policy.npz"}
+    assert files >= {
+        "run.json",
+        "checkpoint.pt",
+        "history.csv",
+        "curves.png",
+        "policy.npz",
+        "finger.png",
+    }
     about = load_pair(trained / "policy.npz").about
     settings = json.loads((trained / "run.json").read_text())
     assert (about["space"], about["transitions"]) == ("", 1600)
