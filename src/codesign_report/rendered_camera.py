@@ -7,6 +7,8 @@ and principal point; the lens's distortion is applied by resampling. A 3D point 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,10 +29,12 @@ CAMERA_LOOK = Look(
     grid=False,
     background=(0.33, 0.38, 0.46),
     shadow=0.45,
+    sky=True,
 )
 """Off-white tofu on a green mat, blue printed fingers, a dark gripper before a grey-blue wall."""
 
 MOTION_STEPS = 64  # samples along a motion blur's line
+NOISE_OFFSETS = 2**16  # places in the bank of noise where a picture may begin
 SHOT_SHARE = 0.6  # of the noise at full scale that grows with the light
 
 CLUTTER_SIZE = (0.008, 0.022)  # m, half lengths
@@ -224,15 +228,16 @@ def spoil(picture: Image, effects: Effects, frame: int = 0) -> Image:
     random = np.random.default_rng([e.seed, frame])
     gain = 1.0 + random.uniform(-e.light, e.light)
     angle = random.uniform(0.0, np.pi)
+    seen: Any = picture
     if e.light > 0.0:
-        picture = cv2.convertScaleAbs(picture, alpha=gain)
+        seen = cv2.convertScaleAbs(seen, alpha=gain)
     if e.motion > 0.0:
-        picture = cv2.filter2D(picture, -1, _line(e.motion, angle), borderType=cv2.BORDER_REPLICATE)
+        seen = cv2.filter2D(seen, -1, _line(e.motion, angle), borderType=cv2.BORDER_REPLICATE)
     if e.defocus > 0.0:
-        picture = cv2.GaussianBlur(picture, (0, 0), e.defocus, borderType=cv2.BORDER_REPLICATE)
+        seen = cv2.GaussianBlur(seen, (0, 0), e.defocus, borderType=cv2.BORDER_REPLICATE)
     if e.noise > 0.0:
-        picture = _noisy(picture, e.noise, random)
-    return np.asarray(picture, dtype=np.uint8)
+        seen = _noisy(seen, e, int(random.integers(NOISE_OFFSETS)))
+    return np.asarray(seen, dtype=np.uint8)
 
 
 def board_prop(
@@ -341,15 +346,21 @@ def _line(length: float, angle: float) -> npt.NDArray[np.float32]:
     return (kernel / kernel.sum()).astype(np.float32)
 
 
-def _noisy(picture: Image, noise: float, random: np.random.Generator) -> Image:
+def _noisy(picture: Image, effects: Effects, offset: int) -> Image:
     """Noise whose variance grows with the light: `noise` at 255, less in the dark."""
     level = np.arange(256) / 255.0
-    spread = noise * np.sqrt(1.0 - SHOT_SHARE + SHOT_SHARE * level)
-    table = spread.astype(np.float32)
-    drawn = random.standard_normal(picture.shape, dtype=np.float32)
-    drawn *= cv2.LUT(picture, table)
-    drawn += picture
-    return np.asarray(np.clip(np.rint(drawn), 0.0, 255.0), dtype=np.uint8)
+    spread = effects.noise * np.sqrt(1.0 - SHOT_SHARE + SHOT_SHARE * level)
+    drawn = _noise_bank(picture.size, effects.seed)[offset : offset + picture.size]
+    noise = cv2.multiply(cv2.LUT(picture, spread.astype(np.float32)), drawn.reshape(picture.shape))
+    return np.asarray(cv2.add(picture, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+@lru_cache(maxsize=2)
+def _noise_bank(count: int, seed: int) -> npt.NDArray[np.float32]:
+    """Normal numbers for one picture from any offset: to draw them anew takes longer than all
+    else that spoils a picture."""
+    random = np.random.default_rng([seed, 0x4E])
+    return random.standard_normal(count + NOISE_OFFSETS, dtype=np.float32)
 
 
 # -- clutter -------------------------------------------------------------------------------------

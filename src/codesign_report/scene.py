@@ -91,7 +91,8 @@ class Look:
         finger, body: of the fingers, and of the boxes that hint at the gripper.
         table: tints the table's picture.
         grid: lines on the table every 10 mm, for people; without, it is plain.
-        background: where nothing is.
+        background: what the table fades into.
+        sky: the background's colour also above the horizon, which else is black.
         shadow: how dark the soft shadows are, 0 to 1.
         samples: per pixel, 0 (jagged edges), 2, 4 or 8.
     """
@@ -102,6 +103,7 @@ class Look:
     table: Rgba = (1.0, 1.0, 1.0, 1.0)
     grid: bool = True
     background: tuple[float, float, float] = BACKGROUND
+    sky: bool = False
     shadow: float = SHADOW_ALPHA
     samples: int = 4
 
@@ -536,6 +538,16 @@ def _add_materials(spec: Any, look: Look) -> None:
         name="table", rgba=look.table, specular=0.0, texuniform=True, texrepeat=[20.0, 20.0]
     )
     table.textures[rgb] = "grid"
+    if look.sky:
+        spec.add_texture(
+            name="sky",
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+            rgb1=look.background,
+            rgb2=look.background,
+            width=16,
+            height=16,
+        )
 
 
 def _add_shadow(spec: Any, index: int) -> None:
