@@ -48,7 +48,8 @@ class FakeBox:
         *,
         realtime: bool = False,
     ) -> None:
-        """joints: first posture (7,) [rad]; realtime: where permitted under SCHED_FIFO."""
+        """joints: first posture (7,) [rad]; realtime: where permitted under SCHED_FIFO,
+        as a real box does not wait for this computer."""
         self.address = free_address()
         self._folder = tempfile.TemporaryDirectory(prefix="fake-box-")
         self.log_path = log or Path(self._folder.name, "box.jsonl")
@@ -85,7 +86,7 @@ class FakeBox:
         self._folder.cleanup()
 
     def switch(self, **switches: Any) -> dict[str, Any]:
-        """Sets switches (see `server.Box._set`) and returns the box's state; without any, only that.
+        """Sets switches (`server.Box._set` has them all) and returns the box's state.
 
         error=31, emergency_stop=2 (held until emergency_stop=0), hung=True, silent=True (no
         reports), drop=True, offline=True, delay=0.02 [s], joints=[...], state=3, mode=0,

@@ -1,4 +1,4 @@
-"""The arm inside the fake box: joints that follow, modes, states and errors as the firmware has them."""
+"""The arm inside the fake box: joints that follow, modes, states and errors of the firmware."""
 
 import math
 from dataclasses import dataclass, field

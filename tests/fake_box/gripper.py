@@ -13,7 +13,7 @@ OPEN = 850  # pulses
 
 
 class Gripper:
-    """Position [pulses] driven to a target at the speed last set, unless something is in between."""
+    """Position [pulses], driven to a target at the speed last set, or to an obstacle."""
 
     def __init__(self) -> None:
         self.registers = {ENABLE: 0, MODE: 0, SPEED: 3000, FORCE: 50, ERROR: 0}

@@ -1,4 +1,4 @@
-"""The fake control box: one asyncio loop that serves, moves, reports, fails on request, and logs."""
+"""The fake control box: one asyncio loop that serves, moves, reports, fails and logs."""
 
 import asyncio
 import contextlib

@@ -1,0 +1,30 @@
+"""Driver of a real xArm7 with its gripper, over UFACTORY's SDK. No ROS."""
+
+from codesign_control.driver.arm_link import LinkError
+from codesign_control.driver.command_checks import REASONS, CommandChecks, CommandRefused
+from codesign_control.driver.config import DriverConfig
+from codesign_control.driver.deadline_loop import (
+    DeadlineLoop,
+    Deviation,
+    prioritize,
+    prioritize_process,
+)
+from codesign_control.driver.driver import DriverState, DriverStatus, Measured, XarmDriver
+from codesign_control.driver.gripper import GripperReading
+
+__all__ = [
+    "REASONS",
+    "CommandChecks",
+    "CommandRefused",
+    "DeadlineLoop",
+    "Deviation",
+    "DriverConfig",
+    "DriverState",
+    "DriverStatus",
+    "GripperReading",
+    "LinkError",
+    "Measured",
+    "XarmDriver",
+    "prioritize",
+    "prioritize_process",
+]

@@ -1,0 +1,527 @@
+"""The driver of a real xArm7: commands in, states out, and nothing on the wire that is not checked.
+
+Three threads of its own: servo points at absolute deadlines; the gripper; and one that connects,
+looks at errors and connects again. The SDK adds its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from codesign_control.driver.arm_link import (
+    SERVO_MODE,
+    STOPPED_STATES,
+    ArmLink,
+    LinkError,
+    Reply,
+    describe,
+)
+from codesign_control.driver.command_checks import CommandChecks, CommandRefused
+from codesign_control.driver.config import DriverConfig
+from codesign_control.driver.deadline_loop import DeadlineLoop, Deviation, prioritize
+from codesign_control.driver.gripper import GripperReading, GripperThread
+from codesign_control.driver.playback import LARGEST_LAG, Playback
+from codesign_control.gripper import GripperModel
+
+VELOCITY_REPORTS = 6  # over which the measured velocity is the slope; 50 ms at 100 Hz
+HELPER_PRIORITY = 20  # SCHED_FIFO of the threads that the streaming one waits for
+LOOK_TIMEOUT = 0.1  # s, of a look at the error codes; the supervisor has more to do
+POLL_PERIOD = 0.5  # s between looks at error codes that no reply announced
+
+
+class DriverState(enum.IntEnum):
+    """Where the driver is."""
+
+    DISCONNECTED = 0  # no control box; trying
+    DISABLED = 1  # connected, reporting; wants `enable`
+    MATCHING = 2  # in servo mode; waits for commands that match where the arm is
+    STREAMING = 3
+    FAULT = 4  # an error of the arm; wants `recover`
+
+
+@dataclass(frozen=True)
+class DriverStatus:
+    """What there is to know about a driver at one moment."""
+
+    state: DriverState
+    message: str
+    mode: int
+    arm_state: int
+    error: int
+    warning: int
+    firmware: str
+    points_sent: int
+    points_held: int  # refused by the last look before the SDK
+    replies_late: int
+    connections: int
+    pauses: int
+    refused: dict[str, int]
+    last_refusal: str
+    ticks_missed: int
+    fifo: bool
+    deviation: Deviation
+    gripper_message: str
+    gripper_commands: int
+    own_gripper_port: bool
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The arm's posture: moment (steady clock) [s], position [rad], velocity [rad/s], (7,) each."""
+
+    moment: float
+    position: np.ndarray
+    velocity: np.ndarray
+
+
+class XarmDriver:
+    """Streams joint commands to one arm and gripper.
+
+    Args:
+        on_joints, on_gripper: called for each report of the arm and each reading of the gripper,
+            in threads of the driver; they must be quick.
+
+    All times are of `time.monotonic` [s]. Methods may be called from any thread.
+    """
+
+    def __init__(
+        self,
+        config: DriverConfig,
+        on_joints: Callable[[Measured], None] = lambda _: None,
+        on_gripper: Callable[[GripperReading], None] = lambda _: None,
+    ) -> None:
+        self.config = config
+        self._on_joints = on_joints
+        self._checks = CommandChecks(config)
+        self._playback = Playback(config)
+        self._gripper = GripperThread(config, on_gripper)
+        self._loop = DeadlineLoop(config.period, self._tick, realtime=config.realtime)
+        self._state = DriverState.DISCONNECTED
+        self._message = "starting"
+        self._link: ArmLink | None = None
+        self._measured: Measured | None = None
+        self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=VELOCITY_REPORTS)
+        self._inbox: deque[tuple[float, np.ndarray]] = deque(maxlen=256)
+        self._last_sent: np.ndarray | None = None
+        self._matching: tuple[float, np.ndarray] | None = None
+        self._command_at = self._reply_at = 0.0
+        self._points_sent = self._points_held = self._late = self._pauses = 0
+        self._connections = 0
+        self._error = self._warning = 0
+        self._looked_at = self._linked_at = 0.0
+        # Changes of state: by the streaming thread, the supervisor and callers of `enable`.
+        self._lock = threading.RLock()
+        self._one_recovery = threading.Lock()
+        self._attention = threading.Event()
+        self._closing = threading.Event()
+        self._supervisor = threading.Thread(target=self._supervise, name="arm", daemon=True)
+
+    # --- life
+
+    def start(self) -> None:
+        """Starts connecting, and goes on doing so until `close`."""
+        self._gripper.start()
+        self._loop.start()
+        self._supervisor.start()
+
+    def close(self) -> None:
+        """Stops streaming and disconnects; the arm stays where it is, enabled as it was."""
+        self._closing.set()
+        self._attention.set()
+        self._loop.stop()
+        self._gripper.stop()
+        link = self._link
+        if link is not None:
+            link.close()
+        self._supervisor.join(2.0)
+
+    def __enter__(self) -> XarmDriver:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- what callers ask and tell
+
+    @property
+    def state(self) -> DriverState:
+        return self._state
+
+    @property
+    def measured(self) -> Measured | None:
+        """The newest posture; None before the first report of a connection."""
+        return self._measured
+
+    def deviations(self) -> np.ndarray:
+        """Lateness of the streaming thread's wake-ups [s], in order."""
+        return self._loop.deviations()
+
+    def status(self) -> DriverStatus:
+        """Everything at this moment."""
+        link = self._link
+        return DriverStatus(
+            state=self._state,
+            message=self._message,
+            mode=link.mode if link else -1,
+            arm_state=link.state if link else -1,
+            error=self._error,
+            warning=self._warning,
+            firmware=link.version if link else "",
+            points_sent=self._points_sent,
+            points_held=self._points_held,
+            replies_late=self._late,
+            connections=self._connections,
+            pauses=self._pauses,
+            refused=dict(self._checks.refused),
+            last_refusal=self._checks.last_refusal,
+            ticks_missed=self._loop.missed,
+            fifo=self._loop.fifo,
+            deviation=self._loop.deviation(last=self.config.rate * 10),
+            gripper_message=self._gripper.message,
+            gripper_commands=self._gripper.commands_sent,
+            own_gripper_port=bool(link and link.own_gripper_port),
+        )
+
+    def command(self, position: object, moment: float) -> None:
+        """Takes a set-point (7,) [rad] that is meant for a moment of the steady clock [s].
+
+        Raises:
+            CommandRefused: it goes no further; counted by its reason.
+        """
+        now = time.monotonic()
+        joints = self._checks.check(position, moment, now)
+        self._command_at = now
+        self._inbox.append((moment, joints))
+
+    def command_gripper(self, width: float, speed: float = 0.0, effort: float = 0.0) -> None:
+        """Takes a target of the gripper: gap [m], speed [m/s], share of the largest force.
+
+        Raises:
+            CommandRefused: it goes no further; counted by its reason.
+        """
+        try:
+            self._gripper.command(width, speed, effort)
+        except CommandRefused as refusal:
+            self._checks.count(refusal)
+            raise
+
+    def mount(self, model: GripperModel) -> None:
+        """Tells which fingers the gaps are of."""
+        self._gripper.mount(model)
+
+    def enable(self) -> str:
+        """Enables the motors and waits for matching commands; says what comes next.
+
+        Raises:
+            LinkError: not connected, an error to be cleared by `recover`, a dry run.
+        """
+        return self._bring_up(clear=False)
+
+    def recover(self) -> str:
+        """Clears errors and warnings, then as `enable`. Nothing moves before commands match again.
+
+        Raises:
+            LinkError: not connected, an error whose cause is still there, a dry run.
+        """
+        return self._bring_up(clear=True)
+
+    def disable(self) -> None:
+        """Stops the arm (its state 4), which holds its posture; the gripper gets no targets."""
+        with self._lock:
+            if self._state is DriverState.DISCONNECTED:
+                return
+            self._enter(DriverState.DISABLED, "disabled, call enable")
+            link = self._link
+        if link is not None and not self.config.dry_run:
+            link.patience(self.config.call_timeout)
+            link.stop()
+
+    def _bring_up(self, *, clear: bool) -> str:
+        if self.config.dry_run:
+            raise LinkError("dry run: motion stays disabled; start without dry_run to move")
+        with self._one_recovery:
+            with self._lock:
+                link = self._link
+                if link is None or self._state is DriverState.DISCONNECTED:
+                    raise LinkError(f"not connected: {self._message}")
+                if not clear and self._state in (DriverState.MATCHING, DriverState.STREAMING):
+                    return "enabled already"
+                # Nothing is streamed while modes change.
+                self._enter(DriverState.DISABLED, "enabling")
+            try:
+                link.patience(self.config.call_timeout)
+                if clear:
+                    link.clear()
+                self._error, self._warning = link.errors()
+                if self._error:
+                    raise LinkError(f"{describe(self._error)}: call recover")
+                link.enable()
+                if self.config.gripper != "none":
+                    link.enable_gripper()
+                link.patience_while_streaming()
+            except LinkError as error:
+                self._fail_bring_up(link, str(error))
+                raise
+            with self._lock:
+                if link is not self._link:
+                    raise LinkError("the connection was lost meanwhile")
+                self._enter(DriverState.MATCHING, "waiting for commands that match the posture")
+            return "enabled: moves once commands match the measured posture"
+
+    def _fail_bring_up(self, link: ArmLink, message: str) -> None:
+        with contextlib.suppress(LinkError):
+            self._error, self._warning = link.errors()
+        with self._lock:
+            if link is self._link:
+                state = DriverState.FAULT if self._error else DriverState.DISABLED
+                self._enter(state, message)
+
+    # --- state
+
+    def _enter(self, state: DriverState, message: str) -> None:
+        """Changes the state; only with the lock held."""
+        if state is not DriverState.STREAMING:
+            self._last_sent = None
+            self._matching = None
+            self._inbox.clear()
+            self._checks.forget()
+        self._state, self._message = state, message
+        self._gripper.allow(state in (DriverState.MATCHING, DriverState.STREAMING))
+
+    def _fault(self, message: str) -> None:
+        """An error of the arm: latched until `recover`."""
+        with self._lock:
+            if self._state in (DriverState.MATCHING, DriverState.STREAMING, DriverState.DISABLED):
+                self._enter(DriverState.FAULT, message)
+        self._looked_at = 0.0
+        self._attention.set()
+
+    def _pause(self, why: str) -> None:
+        """Streaming stops; the next command must match the posture again."""
+        with self._lock:
+            if self._state is DriverState.STREAMING:
+                self._pauses += 1
+                self._enter(DriverState.MATCHING, f"paused: {why}; waiting for matching commands")
+
+    # --- reports of the arm
+
+    def _take_report(self, link: ArmLink, joints: np.ndarray) -> None:
+        if link is not self._link or not np.isfinite(joints).all():
+            return
+        now = time.monotonic()
+        self._reports.append((now, joints))
+        self._measured = Measured(now, joints, self._slope())
+        self._on_joints(self._measured)
+
+    def _slope(self) -> np.ndarray:
+        """Velocity over the last reports [rad/s], by least squares."""
+        if len(self._reports) < 3:
+            return np.zeros(7)
+        times = np.array([t for t, _ in self._reports])
+        times -= times.mean()
+        return times @ np.array([q for _, q in self._reports]) / (times @ times)
+
+    # --- streaming thread
+
+    def _tick(self, now: float) -> None:
+        state, link = self._state, self._link
+        if link is None or state not in (DriverState.MATCHING, DriverState.STREAMING):
+            self._inbox.clear()
+            return
+        if link.mode != SERVO_MODE or link.state in STOPPED_STATES:
+            self._fault(f"the arm left servo mode: mode {link.mode}, state {link.state}; recover")
+            return
+        if state is DriverState.MATCHING:
+            self._match(now)
+        while self._state is DriverState.STREAMING and self._inbox:
+            self._playback.add(*self._inbox.popleft())
+        if self._state is DriverState.STREAMING:
+            self._stream(link, now)
+
+    def _match(self, now: float) -> None:
+        """Begins to stream where two commands in a row stand still at the measured posture."""
+        while self._inbox:
+            moment, joints = self._inbox.popleft()
+            before, self._matching = self._matching, (moment, joints)
+            measured = self._measured
+            if before is None or measured is None:
+                continue
+            speed = float(np.abs(joints - before[1]).max()) / max(moment - before[0], 1e-6)
+            why = self._mismatch(joints, speed, measured, now)
+            if why:
+                self._checks.count(CommandRefused("no_match", why))
+                continue
+            with self._lock:
+                if self._state is not DriverState.MATCHING:
+                    return
+                self._playback.begin(moment, joints, measured.position)
+                self._last_sent = measured.position
+                self._reply_at = now
+                self._state, self._message = DriverState.STREAMING, "streaming"
+            return
+
+    def _mismatch(
+        self, joints: np.ndarray, speed: float, measured: Measured, now: float
+    ) -> str | None:
+        config = self.config
+        if now - measured.moment > config.report_timeout:
+            return "the measured posture is old"
+        apart = np.abs(joints - measured.position)
+        if apart.max() > config.match_tolerance:
+            k = int(np.argmax(apart))
+            return (
+                f"joint {k + 1} is commanded {apart[k]:.4f} rad away from where it is, "
+                f"at most {config.match_tolerance} rad to begin: enable the controller anew"
+            )
+        if speed > config.match_speed:
+            return f"commands move at {speed:.3f} rad/s: to begin at most {config.match_speed}"
+        arm_speed = float(np.abs(measured.velocity).max())
+        if arm_speed > config.match_speed:
+            return f"the arm moves at {arm_speed:.3f} rad/s: to begin at most {config.match_speed}"
+        return None
+
+    def _stream(self, link: ArmLink, now: float) -> None:
+        if now - self._command_at > self.config.command_timeout:
+            self._pause(f"no command for {now - self._command_at:.2f} s")
+            return
+        if self._playback.lag(now) > LARGEST_LAG:
+            self._pause(f"{self._playback.lag(now):.2f} s behind")
+            return
+        point = self._playback.next(now)
+        why = self._not_to_be_sent(point)
+        if why:
+            self._points_held += 1
+            self._pause(why)
+            return
+        # The state may have changed in another thread: whoever changed it, waits for this lock
+        # before it talks to the arm.
+        with self._lock:
+            if self._state is not DriverState.STREAMING:
+                return
+            reply = link.servo(point)
+            self._last_sent = point
+            self._points_sent += 1
+        self._judge(reply, now)
+
+    def _not_to_be_sent(self, point: np.ndarray) -> str | None:
+        """The last look before the SDK, whatever went before."""
+        try:
+            self._checks.joints(point)
+        except CommandRefused as refusal:
+            return str(refusal)
+        assert self._last_sent is not None
+        step = float(np.abs(point - self._last_sent).max())
+        if step > self.config.largest_step + 1e-9:
+            return f"a step of {step:.4f} rad, at most {self.config.largest_step:.4f} rad"
+        return None
+
+    def _judge(self, reply: Reply, now: float) -> None:
+        if reply is Reply.DONE:
+            self._reply_at = now
+        elif reply is Reply.LATE:
+            self._late += 1
+            silent = now - self._reply_at
+            if silent > self.config.reply_patience:
+                self._fault(f"the control box has not answered for {silent * 1e3:.0f} ms; recover")
+        elif reply is Reply.ERROR:
+            self._fault("the arm reports an error; recover")
+        elif reply is Reply.LOST:
+            self._attention.set()
+            self._pause("connection lost")
+        else:
+            self._fault(f"{reply.value}; recover")
+
+    # --- the thread that connects
+
+    def _supervise(self) -> None:
+        if self.config.realtime:  # the SDK's threads inherit it: replies come in time
+            prioritize(threading.get_native_id(), HELPER_PRIORITY)
+        while not self._closing.is_set():
+            if self._link is None:
+                self._connect()
+                if self._link is None:
+                    self._closing.wait(self.config.reconnect_period)
+                continue
+            self._attention.wait(min(POLL_PERIOD, self.config.report_timeout / 4.0))
+            self._attention.clear()
+            if self._closing.is_set():
+                return
+            self._look_after(self._link)
+
+    def _connect(self) -> None:
+        self._reports.clear()
+        self._measured = None
+        link = ArmLink(self.config, lambda joints: self._take_report(link, joints))
+        try:
+            link.connect()
+            self._error, self._warning = link.errors()
+        except LinkError as error:
+            self._message = str(error)
+            link.close()
+            return
+        if self._closing.is_set():
+            link.close()
+            return
+        with self._lock:
+            self._link = link
+            self._connections += 1
+            self._linked_at = time.monotonic()
+            message = "connected, call enable"
+            if self.config.dry_run:
+                message = "connected, dry run: motion stays disabled"
+            if self._error:
+                self._enter(DriverState.FAULT, f"{describe(self._error)}; recover")
+            else:
+                self._enter(DriverState.DISABLED, message)
+        if self.config.gripper != "none":
+            self._gripper.attach(link)
+
+    def _look_after(self, link: ArmLink) -> None:
+        """Drops a dead connection; finds out what an error is."""
+        last = self._measured.moment if self._measured else self._linked_at
+        silent = time.monotonic() - last
+        if not link.connected or silent > self.config.report_timeout:
+            why = "closed" if not link.connected else f"silent for {silent:.2f} s"
+            self._drop(
+                link, f"connection to {self.config.address} {why}; enable anew once it is back"
+            )
+            return
+        # While streaming the replies tell at once; a look would only hold up a servo point.
+        if self._state is DriverState.STREAMING or self._one_recovery.locked():
+            return
+        self._look_at_errors(link)
+
+    def _look_at_errors(self, link: ArmLink) -> None:
+        now = time.monotonic()
+        if now - self._looked_at < POLL_PERIOD:
+            return
+        self._looked_at = now
+        if self._state in (DriverState.FAULT, DriverState.DISABLED):
+            link.patience(LOOK_TIMEOUT)
+        try:
+            error, warning = link.errors()
+        except LinkError:
+            return  # reports decide whether the connection is dead
+        with self._lock:
+            if link is not self._link:
+                return
+            changed = error != self._error
+            self._error, self._warning = error, warning
+            if error and (changed or self._state is not DriverState.FAULT):
+                self._enter(DriverState.FAULT, f"{describe(error)}; recover")
+
+    def _drop(self, link: ArmLink, message: str) -> None:
+        with self._lock:
+            self._link = None
+            self._enter(DriverState.DISCONNECTED, message)
+        self._gripper.attach(None)
+        link.close()
