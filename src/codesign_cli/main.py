@@ -2,7 +2,7 @@
 
 import typer
 
-from codesign_cli import control, demo, design, graph, policy, report, reproduce, sim
+from codesign_cli import bag, control, demo, design, graph, policy, report, reproduce, sim
 
 app = typer.Typer(
     help="End-effector co-design: simulate, control, record and report fragile-object grasps.",
@@ -11,7 +11,7 @@ app = typer.Typer(
 )
 app.command()(demo.demo)
 app.command()(report.report)
-app.add_typer(report.bag_app, name="bag")
+app.add_typer(bag.app, name="bag")
 app.add_typer(control.app, name="control")
 app.add_typer(design.app, name="design")
 app.add_typer(graph.app, name="graph")

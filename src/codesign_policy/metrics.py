@@ -7,10 +7,13 @@ constant: what counts as contact, how high and how long is "picked up".
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from codesign_policy.domain import BLOCK_SIZE
 
 CONTACT_FORCE = 0.02
 """A finger touches the object from this force on [N]; 3 % of the block's weight of 0.6 N."""
@@ -21,6 +24,15 @@ SUCCESS_LIFT = 0.08
 HOLD_TIME = 1.0
 """It must stay up for this long, to the very end of the episode [s]."""
 
+CLOSED_MARGIN = 0.001
+"""Without forces, fingers count as closed on the block from its thickness and this on [m]."""
+
+HELD_DISTANCE = 0.05
+"""Without forces, the block counts as held up to this far from the grasp frame [m]."""
+
+LAST_SIGHT = 0.3
+"""Without forces, the block must have been seen this shortly before the episode's end [s]."""
+
 STILL_ACCELERATION = 0.5
 """Held forces are read while the vertical acceleration is below this [m/s^2]; 5 % of gravity."""
 
@@ -28,6 +40,8 @@ STILL_ACCELERATION = 0.5
 @dataclass(frozen=True)
 class GraspMetrics:
     """Outcome of one grasp; the fields of codesign_interfaces/TrialMetrics.
+
+    NaN also stands for what was not measured: stress, force and score of a real arm's trial.
 
     Attributes:
         success: the object was lifted by `SUCCESS_LIFT` and still up, for `HOLD_TIME`, at the end.
@@ -152,6 +166,87 @@ def grasp_metrics(
         interaction_time=interaction_time,
         score=score(float(success), mean_top10),
     )
+
+
+def pose_metrics(
+    start: int,
+    end: int,
+    object_position: Mapping[int, npt.ArrayLike],
+    tool_position: Mapping[int, npt.ArrayLike],
+    width: Mapping[int, float],
+    *,
+    thickness: float = BLOCK_SIZE[1],
+    success_lift: float = SUCCESS_LIFT,
+    hold_time: float = HOLD_TIME,
+) -> GraspMetrics:
+    """Judge an episode without stress and forces, as of a real arm: by pose and gripper alone.
+
+    In place of a contact force counts that the fingers are closed to the block's thickness and the
+    block is between them. Series are by stamp [ns]; those of tool and gripper are interpolated at
+    the stamps of the object's poses.
+
+    Args:
+        start, end: the episode lasts from after `start` to `end` [ns].
+        object_position: centre of the object, (3,) each [m].
+        tool_position: of the grasp frame, (3,) each [m].
+        width: gap of the fingers [m].
+        thickness: of the object between the fingers [m].
+        success_lift, hold_time: as in `grasp_metrics`.
+
+    Returns:
+        Stresses, force and score are NaN: they were not measured.
+
+    Raises:
+        ValueError: fewer than 2 poses of the object in the episode, no tool or gripper, or a value
+            that is not finite.
+    """
+    seen, centre = _by_stamp("object_position", object_position, 3)
+    inside = (seen > start) & (seen <= end)
+    seen, centre = seen[inside], centre[inside]
+    if len(seen) < 2:
+        raise ValueError(
+            f"the object was seen {len(seen)} times while the policy ran "
+            f"({(end - start) * 1e-9:.1f} s), at least 2 are needed"
+        )
+    t = (seen - start) * 1e-9
+    tool = _at(t, start, "tool_position", tool_position, 3)
+    gap = _at(t, start, "width", width, 1)[:, 0]
+    between = np.linalg.norm(centre - tool, axis=1) <= HELD_DISTANCE
+    contact = between & (gap <= thickness + CLOSED_MARGIN)
+    rise = lift(centre[:, 2], contact)
+    up = contact & (rise >= success_lift)
+    held = bool(up[-1] and t[-1] - t[_last_run(up).start] >= hold_time - 1e-9)
+    nan = float("nan")
+    return GraspMetrics(
+        success=held and (end - seen[-1]) * 1e-9 <= LAST_SIGHT,
+        top10_stress=nan,
+        median_stress=nan,
+        peak_lift=float(max(rise.max(), 0.0)),
+        held_force=nan,
+        interaction_time=math.fsum(np.gradient(t) * contact),
+        score=nan,
+    )
+
+
+def _by_stamp(
+    name: str, values: Mapping[int, npt.ArrayLike], size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps (T,) [ns], ascending, and values (T, size)."""
+    stamps = sorted(values)
+    rows = np.array([values[stamp] for stamp in stamps], dtype=np.float64).reshape(-1, size)
+    _require_finite(name, rows)
+    return np.array(stamps, dtype=np.int64), rows
+
+
+def _at(
+    t: np.ndarray, start: int, name: str, values: Mapping[int, npt.ArrayLike], size: int
+) -> np.ndarray:
+    """Values at times since `start`, (T, size)."""
+    stamps, rows = _by_stamp(name, values, size)
+    if not len(stamps):
+        raise ValueError(f"{name} has no samples")
+    times = (stamps - start) * 1e-9
+    return np.column_stack([np.interp(t, times, rows[:, k]) for k in range(size)])
 
 
 def _held_force(

@@ -1,12 +1,14 @@
 """What every policy offers, scripted or learned, and how one is loaded by its name."""
 
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from codesign_design.finger_pair import FingerPair
-from codesign_policy.learned import LearnedGrasp
-from codesign_policy.policy_file import TrainedPair, load_pair
+from codesign_policy.learned import Fingers, LearnedGrasp
+from codesign_policy.policy_file import TrainedPair, load_pair, pair_bytes, read_pair
 from codesign_policy.scripted import GraspPlan, ScriptedGrasp
 from codesign_policy.shipped import POLICY, checkpoint_names, checkpoint_path
 from codesign_policy.task import ControlAction, Observation
@@ -62,14 +64,67 @@ def trained_pair(name: str) -> TrainedPair | None:
     Raises:
         ValueError: unknown name, or a file that cannot be used.
     """
-    if name == SCRIPTED:
-        return None
+    return None if name == SCRIPTED else load_pair(_pair_path(name))
+
+
+def _pair_path(name: str) -> Path:
     if name not in policy_names() and not Path(name).exists():
         raise ValueError(
             f"policy {name!r}: unknown; there are {', '.join(policy_names())}; or give the path of "
             "a checkpoint"
         )
-    return load_pair(checkpoint_path(name))
+    return checkpoint_path(name)
+
+
+@dataclass(frozen=True)
+class PolicySetup:
+    """All that a policy is made of: kept with a recording, it gives the same policy again.
+
+    Attributes:
+        policy: the name that was asked for, or a path.
+        file: what the trained pair's file held; empty for the scripted grasp.
+        settings: arguments of `ScriptedGrasp` and of its plan, SI units; empty for a trained pair.
+    """
+
+    policy: str
+    file: bytes = b""
+    settings: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, name: str, around: Surroundings, plan: GraspPlan | None = None) -> "PolicySetup":
+        """What `load_policy` makes the policy of; arguments and errors as there."""
+        if name != SCRIPTED:
+            return cls(name, file=pair_bytes(_pair_path(name)))
+        settings = asdict(plan or GraspPlan()) | {
+            "table_height": around.table_height,
+            "tip_depth": around.fingers.tip_depth,
+            "min_width": around.fingers.min_width,
+        }
+        return cls(name, settings={key: float(value) for key, value in settings.items()})
+
+    @property
+    def file_hash(self) -> str:
+        """SHA-256 of the trained pair's file; empty for the scripted grasp."""
+        return hashlib.sha256(self.file).hexdigest() if self.file else ""
+
+    def build(self, fingers: Fingers) -> Policy:
+        """A new policy for the fingers in use.
+
+        Raises:
+            ValueError: a file that cannot be used, fingers that it is not for, or settings that
+                the scripted grasp does not have.
+        """
+        if self.file:
+            return LearnedGrasp(read_pair(self.file, Path(self.policy)), fingers)
+        given = dict(self.settings)
+        try:
+            around = {key: given.pop(key) for key in ("table_height", "tip_depth", "min_width")}
+            return ScriptedGrasp(GraspPlan(**given), **around)
+        except (KeyError, TypeError) as error:
+            raise ValueError(
+                f"policy {self.policy!r}: settings {sorted(self.settings)} are not those of this "
+                f"program's scripted grasp ({error})"
+            ) from error
 
 
 def load_policy(name: str, around: Surroundings, plan: GraspPlan | None = None) -> Policy:
@@ -83,13 +138,4 @@ def load_policy(name: str, around: Surroundings, plan: GraspPlan | None = None) 
     Raises:
         ValueError: unknown name, a file that cannot be used, or fingers that it is not for.
     """
-    pair = trained_pair(name)
-    if pair is not None:
-        return LearnedGrasp(pair, around.fingers)
-    fingers = around.fingers
-    return ScriptedGrasp(
-        plan or GraspPlan(),
-        around.table_height,
-        tip_depth=fingers.tip_depth,
-        min_width=fingers.min_width,
-    )
+    return PolicySetup.of(name, around, plan).build(around.fingers)

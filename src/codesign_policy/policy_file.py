@@ -3,6 +3,7 @@
 Reading it runs no code and needs no torch, so that a node that serves it starts fast.
 """
 
+import io
 import json
 import zipfile
 from dataclasses import dataclass
@@ -77,8 +78,31 @@ def load_pair(path: Path) -> TrainedPair:
         ValueError: no such file, a damaged one, another version of file or task, or layers that
             do not fit.
     """
+    return read_pair(pair_bytes(path), path)
+
+
+def pair_bytes(path: Path) -> bytes:
+    """What the file of a trained pair holds.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(
+            f"{path}: not a trained pair ({error}); name a file that an export has written"
+        ) from error
+
+
+def read_pair(content: bytes, path: Path) -> TrainedPair:
+    """A trained pair from what its file holds; `path` is for messages.
+
+    Raises:
+        ValueError: as `load_pair`.
+    """
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
             about = json.loads(str(file["about"]))
             layers = range(about.pop("layers"))
             weights = tuple(file[f"weight_{k}"] for k in layers)

@@ -39,7 +39,7 @@ def read_messages(
             missing = sorted(set(required) - {c.topic for c in reader.connections if c.msgcount})
             if missing:
                 raise BagError(
-                    f"{path}: no messages on {', '.join(missing)}: record the simulator's graph"
+                    f"{path}: no messages on {', '.join(missing)}: record the whole graph"
                 )
             wanted = [c for c in reader.connections if c.topic in (*required, *optional)]
             for connection, _, data in reader.messages(wanted):
@@ -47,11 +47,31 @@ def read_messages(
     except BagError:
         raise
     except Exception as error:  # the reader raises many kinds for damaged files
-        raise BagError(
-            f"{path}: cannot be read ({error}): if the recorder was killed, "
-            "repair the .mcap with `mcap recover`"
-        ) from error
+        raise _unreadable(path, error) from error
     return messages
+
+
+def recorded_topics(path: Path) -> set[str]:
+    """Topics with messages.
+
+    Raises:
+        BagError: not a bag, or truncated.
+    """
+    from rosbags.highlevel import AnyReader
+
+    source = _source(path)
+    try:
+        with AnyReader([source]) as reader:
+            return {c.topic for c in reader.connections if c.msgcount}
+    except Exception as error:  # the reader raises many kinds for damaged files
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> BagError:
+    return BagError(
+        f"{path}: cannot be read ({error}): if the recorder was killed or its disk was full, "
+        "save what is there with `codesign bag recover`"
+    )
 
 
 def _source(path: Path) -> Path:
@@ -64,11 +84,21 @@ def _source(path: Path) -> Path:
         return path
     if (path / "metadata.yaml").exists():
         return path
+    return mcap_file(path)
+
+
+def mcap_file(path: Path) -> Path:
+    """The .mcap file of a bag, which may be without metadata.
+
+    Raises:
+        BagError: there is none, or several.
+    """
+    if path.is_file() and path.suffix == ".mcap":
+        return path
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
         raise BagError(
-            f"{path}: not a bag, it has no metadata.yaml and {len(files)} .mcap files: "
-            "give a rosbag2 folder"
+            f"{path}: not a bag, it holds {len(files)} .mcap files: give a rosbag2 folder"
         )
     return files[0]
 
@@ -84,8 +114,11 @@ def nanoseconds(time: Any) -> int:
 
 
 def policy_window(messages: Messages) -> tuple[int, int]:
-    """Stamps [ns] after and up to which the policy ran; all of the stress series if nobody told."""
-    stress = [stamp(m) for m in messages["/stress"]]
+    """Stamps [ns] after and up to which the policy ran; all of the series if nobody told.
+
+    That is of the stress, or of the object's poses where no stress was recorded.
+    """
+    series = [stamp(m) for m in messages["/stress"] or messages["/object_pose"]]
     states = messages["/trial_state"]
     if states and states[-1].state == FINISHED:
         started, ended = nanoseconds(states[-1].started), nanoseconds(states[-1].ended)
@@ -97,5 +130,5 @@ def policy_window(messages: Messages) -> tuple[int, int]:
         running -= 1
     while running and states[running - 1].state == RUNNING:
         running -= 1
-    began = next((stamp(m) for m in states[running:] if m.state == RUNNING), min(stress))
-    return began, max(stress)
+    began = next((stamp(m) for m in states[running:] if m.state == RUNNING), min(series))
+    return began, max(series)

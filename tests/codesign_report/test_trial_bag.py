@@ -134,7 +134,7 @@ def test_a_truncated_file_is_refused(bag, tmp_path, kept):
     assert file.stat().st_size > 200_000
     with file.open("r+b") as stream:
         stream.truncate(kept)
-    with pytest.raises(BagError, match=r"stock-seed3.*mcap recover"):
+    with pytest.raises(BagError, match=r"stock-seed3.*codesign bag recover"):
         read_trial(cut)
 
 

@@ -21,6 +21,7 @@ from codesign_policy.task import (
     normalised_observations,
     physical_observations,
 )
+from codesign_report.replay import replay
 from tests.codesign_policy.random_pair import PARAMETERS, SPACE, random_pair
 from tests.conftest import Probe
 
@@ -116,6 +117,13 @@ def test_actions_are_the_actors_mean(trials: dict[str, Any], name: str) -> None:
     assert len(steps) >= EPISODE_STEPS - 1
     for seen, sent in steps.values():
         np.testing.assert_allclose(sent, pair.act(normalised_observations(seen)), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_the_bag_alone_gives_the_same_actions_again(trials: dict[str, Any], name: str) -> None:
+    result = replay(trials[name]["bag"])
+    assert result.identical, result.first
+    assert result.actions > EPISODE_STEPS
 
 
 def test_a_trial_lasts_one_episode(trials: dict[str, Any]) -> None:

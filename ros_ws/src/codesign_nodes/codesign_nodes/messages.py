@@ -8,6 +8,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from codesign_interfaces.msg import ControlAction as ControlActionMsg
 from codesign_interfaces.msg import FingerDesign
+from codesign_interfaces.msg import PolicySetup as PolicySetupMsg
 from codesign_interfaces.msg import TrialDomain as TrialDomainMsg
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from shape_msgs.msg import Mesh, MeshTriangle
 
 from codesign_design.finger_pair import FingerPair, TriangleMesh, check_surface
 from codesign_policy.domain import TrialDomain
+from codesign_policy.policy import PolicySetup
 from codesign_policy.task import ControlAction
 
 
@@ -53,11 +55,19 @@ def pose(position: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
 
 
 def action_message(
-    action: ControlAction, sequence: int, observed: Time, stamp: Time
+    action: ControlAction,
+    sequence: int,
+    stamp: Time,
+    *,
+    object_stamp: Time,
+    tcp_stamp: Time,
+    gripper_stamp: Time,
 ) -> ControlActionMsg:
-    """An action as a message: its number, the stamp of what it answers, and when it is sent."""
+    """An action as a message: its number, when it is sent, and the stamps of what it answers."""
     message = ControlActionMsg(
-        observation_stamp=observed,
+        observation_stamp=object_stamp,
+        tcp_stamp=tcp_stamp,
+        gripper_stamp=gripper_stamp,
         sequence=sequence,
         translation=vector3(action.translation),
         rotation=vector3(action.rotation),
@@ -66,6 +76,18 @@ def action_message(
     message.header.stamp = stamp
     message.header.frame_id = "link_base"
     return message
+
+
+def setup_message(setup: PolicySetup, fingers: str) -> PolicySetupMsg:
+    """What a policy is made of, with the content hash of the fingers; without a stamp."""
+    return PolicySetupMsg(
+        policy=setup.policy,
+        file_hash=setup.file_hash,
+        file=array.array("B", setup.file),
+        setting_names=list(setup.settings),
+        setting_values=array.array("d", setup.settings.values()),
+        fingers=fingers,
+    )
 
 
 def domain_message(domain: TrialDomain) -> TrialDomainMsg:

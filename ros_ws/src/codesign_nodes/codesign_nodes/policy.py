@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from codesign_interfaces.msg import ControlAction as ControlActionMsg
 from codesign_interfaces.msg import FingerDesign, GripperState, PolicyStatus
+from codesign_interfaces.msg import PolicySetup as PolicySetupMsg
 from codesign_interfaces.srv import GenerateDesign, PreparePolicy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -33,8 +34,8 @@ from codesign_policy.learned import mismatch
 from codesign_policy.policy import (
     SCRIPTED,
     Policy,
+    PolicySetup,
     Surroundings,
-    load_policy,
     policy_label,
     policy_names,
     trained_pair,
@@ -105,6 +106,7 @@ class PolicyNode(LeanNode):
         self._lockstep = self.get_parameter("use_sim_time").value
         trained_pair(self._name)  # an unknown name ends the node here
         self._policy: Policy | None = None
+        self._setup = PolicySetupMsg()
         self._design_parameters = np.zeros(0)
         self._state, self._message, self._sequence = PolicyStatus.IDLE, "", 0
         self._not_finite = 0
@@ -120,6 +122,7 @@ class PolicyNode(LeanNode):
     def _make_interfaces(self) -> None:
         self._action_pub = self.create_publisher(ControlActionMsg, "/action", qos.ACTION_OFFERED)
         self._status_pub = self.create_publisher(PolicyStatus, "~/status", qos.STATE_OFFERED)
+        self._setup_pub = self.create_publisher(PolicySetupMsg, "~/setup", qos.LATCHED)
         for key, kind, topic, profile in (
             ("object_pose", PoseStamped, "/object_pose", qos.POSE_REQUESTED),
             ("tcp_pose", PoseStamped, "/tcp_pose", qos.POSE_REQUESTED),
@@ -211,9 +214,21 @@ class PolicyNode(LeanNode):
             return
         action = self._policy.act(observation)
         self._sequence += 1
-        observed = self._latest["object_pose"].header.stamp
-        stamp = observed if self._lockstep else self.get_clock().now().to_msg()
-        self._action_pub.publish(messages.action_message(action, self._sequence, observed, stamp))
+        seen = {key: message.header.stamp for key, message in self._latest.items()}
+        stamp = seen["object_pose"] if self._lockstep else self.get_clock().now().to_msg()
+        self._action_pub.publish(
+            messages.action_message(
+                action,
+                self._sequence,
+                stamp,
+                object_stamp=seen["object_pose"],
+                tcp_stamp=seen["tcp_pose"],
+                gripper_stamp=seen["gripper_state"],
+            )
+        )
+        if self._sequence == 1:  # by its stamp a bag tells which actions it belongs to
+            self._setup.header.stamp = stamp
+            self._setup_pub.publish(self._setup)
         self._state = PolicyStatus.DONE if self._policy.done else PolicyStatus.RUNNING
         self._message = ""
         self._publish_status(stamp)
@@ -311,11 +326,13 @@ class PolicyNode(LeanNode):
         try:
             fingers = await self._fingers_in_use()
             around = Surroundings(self._table_height, fingers)
-            self._policy = load_policy(self._name, around, self._plan_for(fingers))
+            setup = PolicySetup.of(self._name, around, self._plan_for(fingers))
+            self._policy = setup.build(fingers)
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response
         self._design_parameters = np.array(fingers.parameters)
+        self._setup = messages.setup_message(setup, fingers.content_hash)
         self._sequence = 0
         self._state, self._message = PolicyStatus.RUNNING, ""
         response.success, response.message = True, f"{self._name} with fingers {fingers.name}"

@@ -105,8 +105,17 @@ class Teleop(LeanNode):
 
     def _publish(self, action: ControlAction, stamp: Any) -> None:
         self._sequence += 1
-        observed = self._latest["/object_pose"].header.stamp
-        self._action_pub.publish(messages.action_message(action, self._sequence, observed, stamp))
+        seen = {topic: message.header.stamp for topic, message in self._latest.items()}
+        self._action_pub.publish(
+            messages.action_message(
+                action,
+                self._sequence,
+                stamp,
+                object_stamp=seen["/object_pose"],
+                tcp_stamp=seen["/tcp_pose"],
+                gripper_stamp=seen["/gripper_state"],
+            )
+        )
 
     def _tell(self, missing: list[str], acts: bool, stamp: Any) -> None:
         """The state: a person who waits is at no fault, a missing observation is one."""

@@ -1,7 +1,9 @@
 """Node trial_recorder: every topic of the graph, as it came over the wire, into a rosbag2 MCAP.
 
 Messages are not decoded. A thread of its own writes them, so that a slow or full disk never
-reaches the control loop. Types, type hashes and the offered QoS are stored with each topic.
+reaches the control loop. Types, type hashes and the offered QoS are stored with each topic. Twice
+a second what was received goes to the file as a piece that can be read by itself: that is all that
+is lost when the recorder is killed.
 """
 
 import importlib
@@ -40,6 +42,7 @@ DEPTH = 1000  # messages that a subscription may keep while the executor is busy
 QUEUE = 20_000  # messages that may wait for the disk
 MATCH_TIMEOUT = 3.0  # s
 DRAIN_TIMEOUT = 3.0  # s
+FLUSH_PERIOD = 0.5  # s
 QUIET = 0.1  # s without a message from before the stop
 
 
@@ -51,9 +54,18 @@ class TrialRecorder(LeanNode):
         self._excluded = set(
             declare(self, "exclude", ["/parameter_events"], "topics that are not recorded")
         )
+        self._observed = set(
+            declare(
+                self,
+                "observed",
+                ["/object_pose", "/tcp_pose", "/gripper_state"],
+                "topics whose newest message from before ~/start is recorded, too: a policy's "
+                "first action answers it",
+            )
+        )
         self._types = _type_store()
         self._subscriptions_by_topic: dict[str, Any] = {}
-        self._latched: dict[str, bytes] = {}
+        self._newest: dict[str, bytes] = {}  # of latched and observed topics
         self._unknown: set[str] = set()
         self._bag: BagWriter | None = None
         self._stop_asked = 0  # ns, system time
@@ -84,6 +96,7 @@ class TrialRecorder(LeanNode):
             self.get_logger().warning(f"{topic} is not recorded: {error}")
             return
         latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        kept = latched or topic in self._observed
         requested = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=DEPTH,
@@ -92,8 +105,8 @@ class TrialRecorder(LeanNode):
         )
 
         def receive(data: bytes, info: dict[str, int]) -> None:
-            if latched:
-                self._latched[topic] = data
+            if kept:
+                self._newest[topic] = data
             if info["source_timestamp"] < self._stop_asked:
                 self._late_at = time.monotonic()
             if self._bag is not None:
@@ -125,7 +138,7 @@ class TrialRecorder(LeanNode):
             response.message = f"bag {path}: {error}"
             return response
         now = self.get_clock().now().nanoseconds
-        for topic, data in self._latched.items():
+        for topic, data in self._newest.items():
             self._bag.put(topic, now, data)
         response.success, response.message = True, str(path)
         return response
@@ -229,10 +242,30 @@ class BagWriter:
         self._thread.join()
 
     def _write_all(self) -> None:
-        while (item := self._queue.get()) is not None:
-            if not self.error:
+        flushed = time.monotonic()
+        while (item := self._next(flushed + FLUSH_PERIOD)) is not None:
+            if item and not self.error:
                 self._guarded(lambda item=item: self._write(*item))
-        self._guarded(self._writer.close)
+            if time.monotonic() >= flushed + FLUSH_PERIOD:
+                flushed = time.monotonic()
+                if not self.error:
+                    self._guarded(self._flush)
+        # After an error the file ends where it failed: an index would point behind it.
+        self._guarded(self._writer.abort if self.error else self._writer.close)
+
+    def _next(self, until: float) -> tuple[str, int, bytes] | tuple[()] | None:
+        """What comes before a time [s]: a message, None at the end, or () for nothing."""
+        try:
+            return self._queue.get(timeout=max(until - time.monotonic(), 0.0))
+        except queue.Empty:
+            return ()
+
+    def _flush(self) -> None:
+        """Hands the file what was received so far, as a chunk that can be read by itself."""
+        storage = self._writer.storage
+        if storage.chunk.msgs:
+            storage.close_chunk()
+        storage.bio.flush()
 
     def _guarded(self, do: Callable[[], None]) -> None:
         try:

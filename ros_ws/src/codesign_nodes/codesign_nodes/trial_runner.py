@@ -11,7 +11,14 @@ from typing import Any
 
 import numpy as np
 from codesign_interfaces.action import MoveTo, RunTrial
-from codesign_interfaces.msg import PolicyStatus, Stress, TrialDomain, TrialMetrics, TrialState
+from codesign_interfaces.msg import (
+    GripperState,
+    PolicyStatus,
+    Stress,
+    TrialDomain,
+    TrialMetrics,
+    TrialState,
+)
 from codesign_interfaces.srv import (
     PreparePolicy,
     ResetSimulation,
@@ -20,6 +27,7 @@ from codesign_interfaces.srv import (
 )
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
@@ -34,7 +42,7 @@ from codesign_nodes.node_tools import (
     stamp_of,
     steady_clock,
 )
-from codesign_policy.metrics import GraspMetrics, grasp_metrics
+from codesign_policy.metrics import GraspMetrics, grasp_metrics, pose_metrics
 
 RESETS = 5  # until the simulator wears the fingers that the policy is ready for
 RESET_PAUSE = 0.5  # s
@@ -49,7 +57,9 @@ class TrialLog:
     """What the metrics need, by stamp in nanoseconds."""
 
     stress: dict[int, Stress] = field(default_factory=dict)
-    height: dict[int, float] = field(default_factory=dict)
+    place: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # of the object
+    tool: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # a real arm's
+    width: dict[int, float] = field(default_factory=dict)  # a real gripper's
     start: int | None = None
     end: int | None = None
 
@@ -105,6 +115,9 @@ class TrialRunner(LeanNode):
         self.create_subscription(PolicyStatus, "/policy/status", self._on_policy, qos.EVERY)
         self.create_subscription(Stress, "/stress", self._on_stress, qos.EVERY)
         self.create_subscription(PoseStamped, "/object_pose", self._on_pose, qos.EVERY)
+        if not self._simulated:  # by these a grasp is judged where no stress is known
+            self.create_subscription(PoseStamped, "/tcp_pose", self._on_tool, qos.EVERY)
+            self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.EVERY)
         self._reset = self.create_client(ResetSimulation, "/fem_simulator/reset")
         self._pause = self.create_client(Trigger, "/fem_simulator/pause")
         self._resume = self.create_client(Trigger, "/fem_simulator/resume")
@@ -147,7 +160,15 @@ class TrialRunner(LeanNode):
 
     def _on_pose(self, message: PoseStamped) -> None:
         if self._goal is not None:
-            self._log.height[nanoseconds(message.header.stamp)] = message.pose.position.z
+            self._log.place[nanoseconds(message.header.stamp)] = _position(message)
+
+    def _on_tool(self, message: PoseStamped) -> None:
+        if self._goal is not None:
+            self._log.tool[nanoseconds(message.header.stamp)] = _position(message)
+
+    def _on_gripper(self, message: GripperState) -> None:
+        if self._goal is not None:
+            self._log.width[nanoseconds(message.header.stamp)] = message.width
 
     def _watch(self) -> None:
         """Ends a trial that cannot end by itself; feeds the goal's feedback."""
@@ -169,9 +190,9 @@ class TrialRunner(LeanNode):
 
     def _elapsed(self) -> float:
         """Since the policy's start, by the stamps of what was observed [s]."""
-        if self._log.start is None or not self._log.height:
+        if self._log.start is None or not self._log.place:
             return 0.0
-        return max(0.0, (max(self._log.height) - self._log.start) * 1e-9)
+        return max(0.0, (max(self._log.place) - self._log.start) * 1e-9)
 
     def _end(self, why: str) -> None:
         if self._ended is not None and not self._ended.done():
@@ -282,7 +303,9 @@ class TrialRunner(LeanNode):
     async def _samples_until_end(self) -> None:
         """The last samples may still be on their way when the policy says that it is done."""
         for _ in range(20):
-            newest = (max(self._log.stress, default=0), max(self._log.height, default=0))
+            newest = [max(self._log.place, default=0)]
+            if self._simulated:
+                newest.append(max(self._log.stress, default=0))
             if min(newest) >= (self._log.end or 0):
                 return
             await self.sleep(0.05)
@@ -348,16 +371,20 @@ class TrialRunner(LeanNode):
         start, end = self._log.start, self._log.end
         if start is None or end is None:
             raise TrialError("the policy never said when it started or ended")
+        try:
+            metrics = self._by_stress(start, end) if self._log.stress else self._by_pose(start, end)
+        except ValueError as error:
+            raise TrialError(f"no verdict: {error}") from error
+        return TrialMetrics(**vars(metrics))
+
+    def _by_stress(self, start: int, end: int) -> GraspMetrics:
         # As in codesign_report/bag.py: what was there at the start itself was published before the
         # recording began.
         stamps = sorted(s for s in self._log.stress if start < s <= end)
-        if len(stamps) < 2:
-            # A real arm has no stress to judge by.
-            return TrialMetrics(top10_stress=math.nan, median_stress=math.nan)
         samples = [self._log.stress[s] for s in stamps]
-        pose_stamps = sorted(s for s in self._log.height if start < s <= end)
+        pose_stamps = sorted(s for s in self._log.place if start < s <= end)
         times = (np.array(stamps) - start) * 1e-9
-        metrics = grasp_metrics(
+        return grasp_metrics(
             times,
             [s.top10_mean for s in samples],
             [s.median for s in samples],
@@ -366,10 +393,13 @@ class TrialRunner(LeanNode):
             np.interp(
                 times,
                 (np.array(pose_stamps) - start) * 1e-9,
-                [self._log.height[s] for s in pose_stamps],
+                [self._log.place[s][2] for s in pose_stamps],
             ),
         )
-        return _metrics_message(metrics)
+
+    def _by_pose(self, start: int, end: int) -> GraspMetrics:
+        """A real arm: nobody knows the stress."""
+        return pose_metrics(start, end, self._log.place, self._log.tool, self._log.width)
 
     def _set_state(self, state: int, message: str, request: RunTrial.Goal) -> None:
         self._state.state = state
@@ -393,8 +423,8 @@ class TrialRunner(LeanNode):
         return level, self._state.message or words[self._state.state], {"seed": self._state.seed}
 
 
-def _metrics_message(metrics: GraspMetrics) -> TrialMetrics:
-    return TrialMetrics(**vars(metrics))
+def _position(message: PoseStamped) -> NDArray[np.float64]:
+    return messages.from_xyz(message.pose.position)
 
 
 def main() -> None:

@@ -1,0 +1,227 @@
+"""Replaying a recorded trial: the policy answers the recorded observations once more. Needs no ROS.
+
+Each action names the three messages that it answers by their stamps, and /policy/setup holds what
+the policy was made of, so the bag alone is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codesign_policy.policy import Policy, PolicySetup
+from codesign_policy.task import ACTION_NAMES, ControlAction, Observation
+from codesign_report.bag_messages import BagError, Messages, nanoseconds, read_messages, stamp
+
+ANSWERED = {
+    "/object_pose": "observation_stamp",
+    "/tcp_pose": "tcp_stamp",
+    "/gripper_state": "gripper_stamp",
+}
+"""Observed topic, and the action's field with the stamp of the message that it answers."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An action that did not come out again.
+
+    Attributes:
+        sequence: number of the action since the policy's start.
+        stamp: of the action [ns].
+        component: "dx" .. "dw", the first that differs.
+        recorded, replayed: its values [m or rad].
+    """
+
+    sequence: int
+    stamp: int
+    component: str
+    recorded: float
+    replayed: float
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Outcome of a replay.
+
+    Attributes:
+        policies: name and SHA-256 of the file ("" for the scripted grasp), start by start.
+        actions: recorded.
+        equal: of them, those that came out with the same bits.
+        largest: largest difference of any component [m or rad]; NaN if one is not finite.
+        first: the first that differs.
+    """
+
+    policies: tuple[tuple[str, str], ...]
+    actions: int
+    equal: int
+    largest: float
+    first: Difference | None
+
+    @property
+    def identical(self) -> bool:
+        """Whether there are actions and every one came out with the same bits."""
+        return 0 < self.actions == self.equal
+
+
+def replay(bag: str | Path) -> Replay:
+    """Feeds the recorded observations to the recorded policy.
+
+    Raises:
+        BagError: not a bag; no action or no word of what the policy was made of; or an action,
+            or what one answers, is not in it, so that the policy's state cannot be known.
+    """
+    path = Path(bag)
+    messages = read_messages(path, ("/action", *ANSWERED, "/finger_design"), ("/policy/setup",))
+    if not messages["/policy/setup"]:
+        raise BagError(
+            f"{path}: no messages on /policy/setup: a person was at the controls, or it is from a "
+            "version that did not record what the policy was made of"
+        )
+    try:
+        return _replay(path, messages)
+    except AttributeError as error:
+        raise BagError(
+            f"{path}: recorded with other message definitions ({error}): record again"
+        ) from error
+
+
+def _replay(path: Path, messages: Messages) -> Replay:
+    recorded = _Recorded(path, messages)
+    policies: list[tuple[str, str]] = []
+    equal, largest = 0, 0.0
+    first: Difference | None = None
+    for run in _runs(path, messages["/action"]):
+        setup, policy, design = recorded.policy(run[0])
+        policies.append((setup.policy, setup.file_hash))
+        for message in run:
+            was = _vector(message)
+            now = _action_vector(policy.act(recorded.observation(message, design)))
+            if was.tobytes() == now.tobytes():
+                equal += 1
+                continue
+            largest = float(np.maximum(largest, np.abs(was - now).max()))
+            first = first or _difference(message, was, now)
+    return Replay(tuple(policies), len(messages["/action"]), equal, largest, first)
+
+
+def _difference(message: Any, was: Array, now: Array) -> Difference:
+    k = int(np.argmax(was.view(np.int64) != now.view(np.int64)))
+    return Difference(
+        int(message.sequence), stamp(message), ACTION_NAMES[k], float(was[k]), float(now[k])
+    )
+
+
+def _runs(path: Path, actions: list[Any]) -> Iterator[list[Any]]:
+    """The actions from start to start of the policy, each run complete from its first action on."""
+    starts = [k for k, message in enumerate(actions) if message.sequence == 1]
+    if starts[:1] != [0]:
+        raise BagError(
+            f"{path}: its first action is number {actions[0].sequence} of its trial: what the "
+            "policy saw before is not known; start recording before the policy"
+        )
+    for begin, end in zip(starts, [*starts[1:], len(actions)], strict=True):
+        run = actions[begin:end]
+        for number, message in enumerate(run, start=1):
+            if message.sequence != number:
+                raise BagError(
+                    f"{path}: action {number} of {len(run)} is missing, {message.sequence} comes "
+                    "in its place: what the policy saw then is not known"
+                )
+        yield run
+
+
+class _Recorded:
+    """What a bag says, by stamps."""
+
+    def __init__(self, path: Path, messages: Messages) -> None:
+        self._path = path
+        self._seen = {topic: _by_stamp(messages[topic]) for topic in ANSWERED}
+        self._setups = {stamp(m): m for m in messages["/policy/setup"]}
+        self._fingers = {m.content_hash: m for m in messages["/finger_design"]}
+
+    def policy(self, first: Any) -> tuple[PolicySetup, Policy, Array]:
+        """The policy that sent an action with number 1, and its fingers' parameters (D,)."""
+        message = self._setups.get(stamp(first))
+        if message is None:
+            raise BagError(
+                f"{self._path}: nothing on /policy/setup for the start at "
+                f"{stamp(first) * 1e-9:.3f} s: record the whole trial"
+            )
+        setup = PolicySetup(
+            policy=message.policy,
+            file=bytes(message.file),
+            settings=dict(
+                zip(message.setting_names, (float(v) for v in message.setting_values), strict=True)
+            ),
+        )
+        if setup.file_hash != message.file_hash:
+            raise BagError(
+                f"{self._path}: the policy's file has SHA-256 {setup.file_hash[:12]}, recorded "
+                f"was {message.file_hash[:12]}: the bag is damaged"
+            )
+        fingers = self._fingers.get(message.fingers)
+        if fingers is None:
+            raise BagError(
+                f"{self._path}: the policy used fingers {message.fingers[:12]}, which are not on "
+                "/finger_design: record the whole graph"
+            )
+        try:
+            policy = setup.build(fingers)
+        except ValueError as error:
+            raise BagError(f"{self._path}: {error}") from error
+        return setup, policy, np.array(fingers.parameters, np.float64)
+
+    def observation(self, action: Any, design: Array) -> Observation:
+        """What an action answers."""
+        block, tool, gripper = (
+            self._answered(action, topic, field) for topic, field in ANSWERED.items()
+        )
+        return Observation(
+            tcp_position=np.array(tool), object_position=np.array(block), width=gripper[0],
+            design=design,
+        )  # fmt: skip
+
+    def _answered(self, action: Any, topic: str, field: str) -> tuple[float, ...]:
+        time = nanoseconds(getattr(action, field))
+        said = self._seen[topic].get(time, set())
+        if len(said) == 1:
+            return next(iter(said))
+        what = f"{len(said)} different messages are" if said else "no message is"
+        raise BagError(
+            f"{self._path}: action {action.sequence} answers {topic} of {time * 1e-9:.3f} s, but "
+            f"{what} stamped so: what the policy saw is not known; record the whole trial"
+        )
+
+
+def _by_stamp(messages: list[Any]) -> dict[int, set[tuple[float, ...]]]:
+    """What was said at each stamp; a repeated message counts once."""
+    said: dict[int, set[tuple[float, ...]]] = {}
+    for message in messages:
+        said.setdefault(stamp(message), set()).add(_observed(message))
+    return said
+
+
+def _observed(message: Any) -> tuple[float, ...]:
+    """What a policy sees of a message: a position, or the gap."""
+    if hasattr(message, "width"):
+        return (float(message.width),)
+    return _xyz(message.pose.position)
+
+
+def _vector(message: Any) -> Array:
+    return np.array([*_xyz(message.translation), *_xyz(message.rotation), message.width])
+
+
+def _action_vector(action: ControlAction) -> Array:
+    return np.array([*action.translation, *action.rotation, action.width], np.float64)
+
+
+def _xyz(message: Any) -> tuple[float, float, float]:
+    return float(message.x), float(message.y), float(message.z)
