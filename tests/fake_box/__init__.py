@@ -46,12 +46,14 @@ class FakeBox:
         joints: Sequence[float] | None = None,
         log: Path | None = None,
         *,
-        realtime: bool = False,
+        realtime: bool = True,
     ) -> None:
         """joints: first posture (7,) [rad]; realtime: where permitted under SCHED_FIFO,
         as a real box does not wait for this computer."""
         self.address = free_address()
-        self._folder = tempfile.TemporaryDirectory(prefix="fake-box-")
+        # In memory where possible: a busy disk would make the box hang.
+        memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+        self._folder = tempfile.TemporaryDirectory(prefix="fake-box-", dir=memory)
         self.log_path = log or Path(self._folder.name, "box.jsonl")
         self._joints = joints
         self._realtime = realtime

@@ -9,6 +9,7 @@ Its switches: JSON lines on port 30900 of the same address, e.g. {"error": 31}, 
 import argparse
 import asyncio
 import contextlib
+import logging
 from pathlib import Path
 
 from tests.fake_box.server import Box
@@ -27,6 +28,8 @@ def main() -> None:
     )
     parser.add_argument("--joints", type=float, nargs=7, help="first posture [rad]")
     options = parser.parse_args()
+    # Its lines about clients that have gone are no news here.
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     box = Box(options.address, options.log, options.joints)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(box.run())

@@ -5,9 +5,11 @@ NODES = [
     "fem_simulator",
     "finger_design",
     "policy",
+    "simulated_camera",
     "teleop",
     "trial_recorder",
     "trial_runner",
+    "xarm_driver",
 ]
 
 setup(

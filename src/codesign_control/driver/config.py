@@ -45,7 +45,8 @@ class DriverConfig:
 
     # The control box.
     reply_share: float = 0.6  # of a period that a call waits for its reply: a tick is never missed
-    reply_patience: float = 0.05  # s without any reply while streaming: the box hangs
+    reply_patience: float = 0.05  # s without reply and report while streaming: the box hangs
+    answer_timeout: float = 0.5  # s of late replies only, while reports come: a fault as well
     report_timeout: float = 0.25  # s without a report: the connection counts as lost
     reconnect_period: float = 0.25  # s between two attempts
     call_timeout: float = 1.0  # s, of calls outside streaming

@@ -429,9 +429,7 @@ class XarmDriver:
             self._reply_at = now
         elif reply is Reply.LATE:
             self._late += 1
-            silent = now - self._reply_at
-            if silent > self.config.reply_patience:
-                self._fault(f"the control box has not answered for {silent * 1e3:.0f} ms; recover")
+            self._judge_silence(now)
         elif reply is Reply.ERROR:
             self._fault("the arm reports an error; recover")
         elif reply is Reply.LOST:
@@ -439,6 +437,19 @@ class XarmDriver:
             self._pause("connection lost")
         else:
             self._fault(f"{reply.value}; recover")
+
+    def _judge_silence(self, now: float) -> None:
+        """Late replies alone may be a slow network; without reports too, the box hangs."""
+        config = self.config
+        unanswered = now - self._reply_at
+        last = self._measured.moment if self._measured else 0.0
+        if unanswered > config.reply_patience and now - last > config.reply_patience:
+            self._fault(f"the control box hangs: silent for {(now - last) * 1e3:.0f} ms; recover")
+        elif unanswered > config.answer_timeout:
+            self._fault(
+                f"the control box reports, but answers no command within "
+                f"{config.reply_share * config.period * 1e3:.1f} ms; recover"
+            )
 
     # --- the thread that connects
 
