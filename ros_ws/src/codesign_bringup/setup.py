@@ -10,6 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/codesign_bringup"]),
         ("share/codesign_bringup", ["package.xml"]),
         ("share/codesign_bringup/config", glob("config/*")),
+        ("share/codesign_bringup/cameras", glob("cameras/*")),
     ],
     zip_safe=True,
     maintainer="codesign maintainers",

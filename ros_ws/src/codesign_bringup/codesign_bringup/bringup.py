@@ -142,7 +142,24 @@ def load_profile(name: str) -> dict[str, Any]:
     profile = yaml.safe_load(path.read_text())
     if not isinstance(profile, dict) or not profile.get("nodes"):
         raise ValueError(f"profile {path}: has no list `nodes`")
+    for parameters in profile.get("parameters", {}).values():
+        parameters |= {key: resolved(value) for key, value in parameters.items()}
     return profile
+
+
+def resolved(value: Any) -> Any:
+    """The path of a "package://NAME/PATH", in NAME's share folder; anything else as it is.
+
+    Raises:
+        FileNotFoundError: no such package.
+    """
+    if not isinstance(value, str) or not value.startswith("package://"):
+        return value
+    package, _, path = value.removeprefix("package://").partition("/")
+    try:
+        return str(Path(get_package_share_directory(package), path))
+    except PackageNotFoundError:
+        raise FileNotFoundError(f"{value}: there is no package {package}") from None
 
 
 def parse_settings(settings: list[str]) -> dict[str, dict[str, Any]]:
@@ -157,7 +174,7 @@ def parse_settings(settings: list[str]) -> dict[str, dict[str, Any]]:
         node, dot, parameter = path.partition(".")
         if not (equals and dot and node and parameter):
             raise ValueError(f"--set {setting}: must be node.parameter=value")
-        parsed.setdefault(node, {})[parameter] = yaml.safe_load(value)
+        parsed.setdefault(node, {})[parameter] = resolved(yaml.safe_load(value))
     return parsed
 
 

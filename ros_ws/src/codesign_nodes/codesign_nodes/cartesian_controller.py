@@ -3,7 +3,7 @@
 At real time a thread of its own steps the servo at absolute deadlines: the executor's wake-ups
 are no clock. With use_sim_time the joint state is the clock: each
 new stamp is answered with one set-point of the same stamp, and on the policy's grid the set-point
-waits for the action that answers that stamp.
+waits for the action that answers that stamp, or for the policy's word that it has none.
 """
 
 import math
@@ -23,6 +23,7 @@ from codesign_interfaces.msg import (
     GripperCommand,
     GripperState,
     JointCommand,
+    PolicyStatus,
 )
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -180,6 +181,7 @@ class CartesianController(LeanNode):
             callback_group=waiting,
         )
         if self._lockstep:
+            self.create_subscription(PolicyStatus, "/policy/status", self._on_policy, qos.EVERY)
             self._timer = self.create_timer(0.05, self._give_up_waiting, clock=steady_clock())
         else:
             # The thread asks for the interpreter 100 times a second, and not only when the
@@ -416,6 +418,13 @@ class CartesianController(LeanNode):
             self._policy_absent = True
             self._step_if_ready()
 
+    def _on_policy(self, message: PolicyStatus) -> None:
+        """A policy at fault has no action for that moment: time goes on, the watchdog sees it."""
+        if message.state == PolicyStatus.FAULT:
+            with self._lock:
+                self._answered = nanoseconds(message.header.stamp)
+                self._step_if_ready()
+
     # --- actions
 
     def _on_action(self, message: ControlAction) -> None:
@@ -435,7 +444,7 @@ class CartesianController(LeanNode):
         except ValueError as error:
             self._reject(str(error))
         if self._lockstep:
-            self._answered = nanoseconds(message.observation_stamp)
+            self._answered = nanoseconds(message.tcp_stamp)
             self._policy_absent = False
             self._step_if_ready()
 

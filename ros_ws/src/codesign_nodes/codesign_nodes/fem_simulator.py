@@ -51,7 +51,6 @@ TICK_NS = 10_000_000  # 100 Hz: joint states
 SLOW_TICKS = 5  # 20 Hz: gripper state, object pose, stress, shape; the policy's grid
 MARKER_TICKS = 10  # 10 Hz
 MAX_CATCH_UP = 5  # ticks that a late timer makes up for
-REPUBLISH_AFTER = 0.1  # s of waiting in lockstep before the state is sent again
 
 
 class FemSimulator(LeanNode):
@@ -105,6 +104,20 @@ class FemSimulator(LeanNode):
             "publish the stock fingers on /finger_design; false where finger_design does, and then "
             "~/reset is offered once fingers have come",
         )
+        self._object_topic = declare(
+            self,
+            "object_pose_topic",
+            "/object_pose",
+            "where the block's true pose goes; another one where a camera finds /object_pose",
+        )
+        self._republish_after = declare(
+            self,
+            "republish_after",
+            0.1,
+            "lockstep: wall time of waiting until the state is sent again [s]",
+            low=0.02,
+            high=10.0,
+        )
         self._cell = SimulatedCell(config, stock_fingers())
         self._next_fingers: FingerPair | None = None
         self._designs_refused, self._design_error = 0, ""
@@ -146,7 +159,7 @@ class FemSimulator(LeanNode):
         )
         self._joint_pub = self.create_publisher(JointState, "/joint_states", offered)
         self._gripper_pub = self.create_publisher(GripperState, "/gripper_state", offered)
-        self._pose_pub = self.create_publisher(PoseStamped, "/object_pose", qos.POSE_OFFERED)
+        self._pose_pub = self.create_publisher(PoseStamped, self._object_topic, qos.POSE_OFFERED)
         self._stress_pub = self.create_publisher(Stress, "/stress", offered)
         self._state_pub = self.create_publisher(SimulationState, "/simulation_state", offered)
         self._mesh_pub = self.create_publisher(SoftBodyMesh, "/soft_body_mesh", qos.LATCHED)
@@ -221,7 +234,7 @@ class FemSimulator(LeanNode):
 
     def _republish(self) -> None:
         """Lockstep: a lost message must not stop the world."""
-        if time.monotonic() - self._sent_at > REPUBLISH_AFTER:
+        if time.monotonic() - self._sent_at > self._republish_after:
             self._publish_state()
 
     # --- output

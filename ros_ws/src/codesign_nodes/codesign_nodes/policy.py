@@ -6,7 +6,9 @@ the control stage. The parameter `policy` may be changed while nothing runs.
 
 At real time a timer asks for actions; without fresh observations the node stays silent and the
 controller's watchdog halts the arm. With use_sim_time each observation whose stamp falls on the
-policy's period is answered once, so that a trial is repeatable.
+policy's period is answered once, so that a trial is repeatable: the node waits for the object's
+pose of that moment. Where a camera finds none, the last one counts until it is too old; then the
+node says that it is at fault, and the controller goes on without an action.
 """
 
 import time
@@ -24,6 +26,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.parameter import Parameter
 from rclpy.task import Future
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from codesign_design.finger_pair import FingerPair
@@ -92,6 +95,14 @@ class PolicyNode(LeanNode):
             low=0.02,
             high=2.0,
         )
+        self._patience = declare(
+            self,
+            "object_patience",
+            5.0,
+            "lockstep: wall time that an object pose may take before it counts as missing [s]",
+            low=0.1,
+            high=60.0,
+        )
         self._width = declare(
             self,
             "scripted.width",
@@ -111,6 +122,8 @@ class PolicyNode(LeanNode):
         self._state, self._message, self._sequence = PolicyStatus.IDLE, "", 0
         self._not_finite = 0
         self._answered = -1
+        self._rejected = -1  # stamp of the newest picture without the object [ns]
+        self._waiting: tuple[int, float] | None = None  # for the object: stamp [ns], since when [s]
         self._design: FingerDesign | None = None
         self._decoded: FingerPair | None = None
         self._design_came: Future | None = None
@@ -130,6 +143,9 @@ class PolicyNode(LeanNode):
         ):
             self.create_subscription(kind, topic, lambda m, key=key: self._observe(key, m), profile)
         self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
+        if self._lockstep:
+            self.create_subscription(Header, "/object_pose/rejected", self._on_rejected, qos.STATE)
+            self._timer = self.create_timer(0.05, self._answer_if_complete, clock=steady_clock())
         # In a group of its own: waiting for the fingers must not keep them from coming.
         waiting = ReentrantCallbackGroup()
         self._generate = self.create_client(
@@ -193,15 +209,32 @@ class PolicyNode(LeanNode):
             if now - self._received.get(key, -np.inf) > self._timeout
         ]
 
+    def _on_rejected(self, message: Header) -> None:
+        """A camera saw no object at that moment."""
+        self._rejected = nanoseconds(message.stamp)
+        self._answer_if_complete()
+
     def _answer_if_complete(self) -> None:
-        """Lockstep: acts once all three observations carry the same stamp of the policy's grid."""
+        """Lockstep: acts once on every moment of the policy's grid, when all is known of it."""
         if self._policy is None or len(self._latest) < 3:
             return
-        stamps = {nanoseconds(m.header.stamp) for m in self._latest.values()}
-        now = max(stamps)
-        if len(stamps) == 1 and now % PERIOD_NS == 0 and now > self._answered:
-            self._answered = now
+        stamps = {key: nanoseconds(m.header.stamp) for key, m in self._latest.items()}
+        now, seen = stamps["tcp_pose"], stamps["object_pose"]
+        if stamps["gripper_state"] != now or now % PERIOD_NS or now <= self._answered:
+            return
+        if seen > now or (seen < now and not self._object_is_missing(now)):
+            return
+        self._answered, self._waiting = now, None
+        if now - seen <= self._timeout * 1e9:
             self._act()
+        else:
+            self._fault(f"no object_pose for {(now - seen) * 1e-9:.2f} s")
+
+    def _object_is_missing(self, now: int) -> bool:
+        """Whether there will be no pose of this moment: the camera says so, or is silent."""
+        if self._waiting is None or self._waiting[0] != now:
+            self._waiting = now, time.monotonic()
+        return self._rejected == now or time.monotonic() - self._waiting[1] > self._patience
 
     # --- actions
 
@@ -215,7 +248,7 @@ class PolicyNode(LeanNode):
         action = self._policy.act(observation)
         self._sequence += 1
         seen = {key: message.header.stamp for key, message in self._latest.items()}
-        stamp = seen["object_pose"] if self._lockstep else self.get_clock().now().to_msg()
+        stamp = self._now()
         self._action_pub.publish(
             messages.action_message(
                 action,
@@ -244,7 +277,13 @@ class PolicyNode(LeanNode):
     def _fault(self, why: str) -> None:
         """Silent until the observations are good again."""
         self._state, self._message = PolicyStatus.FAULT, why
-        self._publish_status(self.get_clock().now().to_msg())
+        self._publish_status(self._now())
+
+    def _now(self) -> Any:
+        """Stamp of what is said: in lockstep that of the moment that is answered."""
+        if self._lockstep:
+            return self._latest["tcp_pose"].header.stamp
+        return self.get_clock().now().to_msg()
 
     def _publish_status(self, stamp: Any) -> None:
         message = PolicyStatus(

@@ -59,3 +59,7 @@ JOINT_COMMAND_OFFERED, JOINT_COMMAND_REQUESTED = command(0.05, KEPT), command(0.
 GRIPPER_COMMAND_OFFERED, GRIPPER_COMMAND_REQUESTED = command(0.10, KEPT), command(0.20)
 # The writer keeps a few, for the recorder and the judge who want them all.
 POSE_OFFERED, POSE_REQUESTED = command(0.10, KEPT), command(0.20)
+# Pictures: whole ones only, and of those the newest.
+IMAGE_OFFERED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE
+)

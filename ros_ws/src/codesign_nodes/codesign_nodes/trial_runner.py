@@ -92,6 +92,12 @@ class TrialRunner(LeanNode):
             high=600.0,
         )
         self._simulated = declare(self, "simulated", True, "the graph has a fem_simulator")
+        self._object_topic = declare(
+            self,
+            "object_pose_topic",
+            "/object_pose",
+            "by which the lift is judged; the true pose where a simulator has one beside a camera",
+        )
         self._silence = declare(
             self,
             "policy_silence",
@@ -114,7 +120,7 @@ class TrialRunner(LeanNode):
         self._state_pub = self.create_publisher(TrialState, "/trial_state", qos.LATCHED)
         self.create_subscription(PolicyStatus, "/policy/status", self._on_policy, qos.EVERY)
         self.create_subscription(Stress, "/stress", self._on_stress, qos.EVERY)
-        self.create_subscription(PoseStamped, "/object_pose", self._on_pose, qos.EVERY)
+        self.create_subscription(PoseStamped, self._object_topic, self._on_pose, qos.EVERY)
         if not self._simulated:  # by these a grasp is judged where no stress is known
             self.create_subscription(PoseStamped, "/tcp_pose", self._on_tool, qos.EVERY)
             self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.EVERY)
