@@ -215,10 +215,10 @@ def pose_metrics(
     contact = between & (gap <= thickness + CLOSED_MARGIN)
     rise = lift(centre[:, 2], contact)
     up = contact & (rise >= success_lift)
-    held = bool(up[-1] and t[-1] - t[_last_run(up).start] >= hold_time - 1e-9)
+    held = up[-1] and t[-1] - t[_last_run(up).start] >= hold_time - 1e-9
     nan = float("nan")
     return GraspMetrics(
-        success=held and (end - seen[-1]) * 1e-9 <= LAST_SIGHT,
+        success=bool(held and (end - seen[-1]) * 1e-9 <= LAST_SIGHT),
         top10_stress=nan,
         median_stress=nan,
         peak_lift=float(max(rise.max(), 0.0)),

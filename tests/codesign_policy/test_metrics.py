@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from codesign_policy import metrics
-from codesign_policy.metrics import GraspMetrics, grasp_metrics, score
+from codesign_policy.metrics import GraspMetrics, grasp_metrics, pose_metrics, score
 
 WEIGHT = 0.6
 RATE = 20.0
@@ -197,3 +197,90 @@ def test_limits_must_be_positive(name):
 def test_success_rate_is_a_share():
     with pytest.raises(ValueError, match="success_rate"):
         score(1.2, 0.0)
+
+
+# --- without stress and forces, as of a real arm
+
+START, PERIOD = 1_700_000_000_000_000_000, 50_000_000  # ns
+
+
+def real_grasp(**changes):
+    """11 s: open to 4 s, closed on a 30 mm block from then on, up by 0.1 m from 6 s."""
+    stamps = [START + k * PERIOD for k in range(1, 221)]
+    seconds = {stamp: (stamp - START) * 1e-9 for stamp in stamps}
+    grasp = {
+        "start": START,
+        "end": stamps[-1],
+        "object_position": {
+            s: [0.45, 0.0, 0.02 + (0.1 if t >= 6.0 else 0.0)] for s, t in seconds.items()
+        },
+        "tool_position": {
+            s: [0.45, 0.0, 0.01 + (0.1 if t >= 6.0 else 0.0)] for s, t in seconds.items()
+        },
+        "width": {s: 0.046 if t < 4.0 else 0.0273 for s, t in seconds.items()},
+    }
+    for name, change in changes.items():
+        grasp[name] = change({s: grasp[name][s] for s in stamps}) if callable(change) else change
+    return grasp
+
+
+def test_pose_and_gripper_tell_a_grasp():
+    metrics = pose_metrics(**real_grasp())
+    assert metrics.success
+    assert metrics.peak_lift == pytest.approx(0.1)
+    assert metrics.interaction_time == pytest.approx(7.0, abs=0.06)
+    unknown = ("top10_stress", "median_stress", "held_force", "score")
+    assert all(np.isnan(getattr(metrics, name)) for name in unknown)
+
+
+def later(series, seconds, value):
+    """The series with another value from a time on."""
+    return {s: value if (s - START) * 1e-9 >= seconds else v for s, v in series.items()}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"object_position": lambda p: later(p, 10.5, [0.45, 0.0, 0.02])},  # dropped near the end
+        {"object_position": lambda p: later(p, 0.0, [0.45, 0.0, 0.02])},  # left behind
+        {"width": lambda w: later(w, 10.9, 0.04)},  # let go, and a pose that is late
+        {"width": lambda w: later(w, 0.0, 0.046)},  # never closed: the pose is wrong
+        {"tool_position": lambda p: later(p, 0.0, [0.45, 0.2, 0.11])},  # not between the fingers
+        {"object_position": lambda p: {s: v for s, v in p.items() if s < START + 10.6e9}},  # unseen
+    ],
+)
+def test_pose_and_gripper_tell_a_failure(change):
+    assert not pose_metrics(**real_grasp(**change)).success
+
+
+def test_it_must_be_up_for_the_hold_time():
+    lifted = [0.45, 0.0, 0.12]
+    table = {s: [0.45, 0.0, 0.02] for s in real_grasp()["object_position"]}
+
+    def up_from(seconds):
+        places = later(table, seconds, lifted)
+        tools = {s: [x, y, z - 0.01] for s, (x, y, z) in places.items()}
+        return pose_metrics(**real_grasp(object_position=places, tool_position=tools)).success
+
+    assert up_from(10.0)
+    assert not up_from(10.1)
+
+
+def test_tool_and_gripper_are_interpolated():
+    half = {s + PERIOD // 2: v for s, v in real_grasp()["width"].items()}
+    assert pose_metrics(**real_grasp(width=half)).success
+
+
+def test_too_little_is_named():
+    with pytest.raises(ValueError, match="the object was seen 1 times"):
+        pose_metrics(**real_grasp(object_position={START + PERIOD: [0.45, 0.0, 0.02]}))
+    with pytest.raises(ValueError, match="width has no samples"):
+        pose_metrics(**real_grasp(width={}))
+    with pytest.raises(ValueError, match=r"tool_position\[3, 2\] is nan"):
+        pose_metrics(
+            **real_grasp(
+                tool_position=lambda p: {
+                    s: [0.45, 0.0, np.nan if k == 3 else 0.1] for k, s in enumerate(p)
+                }
+            )
+        )

@@ -15,6 +15,7 @@ from synthetic_trial import DOMAIN, SyntheticTrial, write_bag
 from typer.testing import CliRunner
 
 import codesign_report
+from codesign_cli import bag as bag_commands
 from codesign_cli import report as commands
 from codesign_report import BagError, SkippedBag, TrialResult, trial_metrics, write_report
 from codesign_report.charts import BOTTOM, LEFT, RIGHT, TOP, Chart, Series, draw, limits
@@ -340,7 +341,7 @@ def test_skipped_bags_without_a_summary_path_above(tmp_path, result):
 
 def invoke(*arguments):
     app = typer.Typer()
-    app.add_typer(commands.bag_app, name="bag")
+    app.add_typer(bag_commands.app, name="bag")
     app.command("report")(commands.report)
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
