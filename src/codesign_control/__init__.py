@@ -4,12 +4,15 @@ from codesign_control.arm_model import ArmModel, ArmModelConfig
 from codesign_control.config import ServoConfig
 from codesign_control.finger_reach import FingerReach
 from codesign_control.gripper import G1, G2, GripperModel, GripperMotion, GripperSpec
+from codesign_control.hand import Hand
+from codesign_control.motion import Limit
 from codesign_control.pose import Pose
 from codesign_control.servo import (
     ActionRejected,
     CartesianServo,
     GoalState,
     MoveRejected,
+    Proximity,
     ServoCounters,
     ServoOutput,
     ServoState,
@@ -28,9 +31,12 @@ __all__ = [
     "GripperModel",
     "GripperMotion",
     "GripperSpec",
+    "Hand",
     "IkError",
+    "Limit",
     "MoveRejected",
     "Pose",
+    "Proximity",
     "ServoConfig",
     "ServoCounters",
     "ServoOutput",

@@ -50,6 +50,14 @@ class ServoConfig:
     damping_below: float = 0.06  # smallest singular value below which least squares are damped
     damping: float = 0.03  # largest damping factor
 
+    # Clearance of capsules around the links (capsules.py) and of the hand, never undercut by a
+    # set-point; the servo stops `approach_margin` earlier. The fingers may touch the table.
+    self_collision_margin: float = 0.01  # m, between any two links that could meet
+    table_height: float = 0.0  # m, z of the table in link_base
+    table_margin: float = 0.01  # m, of links and the gripper's body above the table
+    approach_margin: float = 0.002  # m
+    finger_margin: float = 0.0001  # m, how far above the table the fingers are stopped
+
     # Elbow: pulled towards the home posture, only while the hand moves.
     posture_gain: float = 1.0  # 1/s
     posture_speed: float = 0.2  # rad/s
@@ -60,7 +68,7 @@ class ServoConfig:
             numbers = value if isinstance(value, (tuple, list)) else (value,)
             if not all(math.isfinite(number) for number in numbers):
                 raise ValueError(f"{field.name}: not finite: {value}")
-            if not field.name.startswith("box_") and value <= 0:
+            if not field.name.startswith(("box_", "table_height")) and value <= 0:
                 raise ValueError(f"{field.name}: {value}, expected more than 0")
         if len(self.box_lower) != 3 or len(self.box_upper) != 3:
             raise ValueError("box_lower, box_upper: expected 3 numbers each")

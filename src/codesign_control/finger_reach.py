@@ -15,6 +15,11 @@ class FingerReach:
         """Args: vertices of the fingers, (V, 3) each [m]; the left one opens along +y."""
         self._corners = [points[ConvexHull(points).vertices] for points in (left, right)]
 
+    @property
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 3) m: corners of the left and of the right finger's hull."""
+        return self._corners[0], self._corners[1]
+
     def lowest(self, grasp: Pose, width: float) -> float:
         """z of the lowest point in `link_base` [m], for a pose of the grasp frame and a gap [m]."""
         down = grasp.rotation[2]

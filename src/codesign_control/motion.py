@@ -1,7 +1,8 @@
 """Joint motion that can always stop: the last gate before a set-point leaves the library.
 
 Every step is proposed first and taken only when the arm could still brake from it, jerk-limited,
-without leaving the joint limits, the velocity limits or the workspace box. Otherwise the arm moves
+without leaving the joint limits, the velocity limits or the workspace box and without coming too
+near to itself or the table. Otherwise the arm moves
 on along the stop that was found safe one tick earlier. So, by induction, nothing that is asked of
 this class can make it break a limit.
 """
@@ -9,11 +10,14 @@ this class can make it break a limit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntFlag
 
 import numpy as np
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
 
+from codesign_control.clearance import Clearance, HandHeight
 from codesign_control.config import ServoConfig
+from codesign_control.hand import Hand
 from codesign_control.xarm7 import Xarm7
 
 DOF = 7
@@ -21,6 +25,23 @@ AT_REST = 1e-9  # rad/s, rad/s^2: below it a joint counts as standing
 PLAN_ATTEMPTS = 10
 PLAN_RESERVE = 0.9  # of the TCP speed limit: braking may add a little to a plan's speed
 ROUNDING = 1e-9  # relative slack for limits that are met exactly
+
+
+# m/rad: no point of the arm or hand moves faster against another one when a joint turns. The reach
+# from each joint's axis with everything stretched, and a hand of 0.35 m.
+REACH = np.array([1.3, 1.3, 1.1, 1.1, 0.6, 0.6, 0.4])
+
+
+class Limit(IntFlag):
+    """What slows or stops a motion. Numbered as in ControllerStatus.msg."""
+
+    NONE = 0
+    JOINT = 1  # position or velocity of a joint
+    BOX = 2
+    SELF_COLLISION = 4
+    TABLE = 8
+    SINGULARITY = 16
+    TCP_SPEED = 32
 
 
 @dataclass(frozen=True)
@@ -57,9 +78,12 @@ class JointMotion:
     at the last one.
     """
 
-    def __init__(self, arm: Xarm7, config: ServoConfig, position: np.ndarray) -> None:
+    def __init__(
+        self, arm: Xarm7, config: ServoConfig, position: np.ndarray, hand: Hand | None = None
+    ) -> None:
         self._arm = arm
         self._config = config
+        self.set_hand(hand or Hand())
         self._box_lower = np.asarray(config.box_lower)
         self._box_upper = np.asarray(config.box_upper)
         self._generator = Ruckig(DOF, config.period)
@@ -69,6 +93,24 @@ class JointMotion:
         """Starts again at rest at `position`."""
         self.state = JointState.standing(position)
         self._stop = self.state.profile()
+
+    def set_hand(self, hand: Hand) -> None:
+        """From here on the arm carries another hand; for an arm that stands."""
+        self.clearance = Clearance(self._config, hand)
+        self.hand_height = HandHeight(self._config, hand)
+        self._room_at: tuple[np.ndarray, np.ndarray] | None = None
+        self.refused = Limit.NONE  # why the last `follow` was refused
+
+    def room(self) -> np.ndarray:
+        """`Clearance.room` where the arm is now; computed once per posture."""
+        if self._room_at is None or self._room_at[0] is not self.state.position:
+            self._room_at = self.state.position, self.clearance.room(self.state.position)
+        return self._room_at[1]
+
+    def allows_widths(self, widths: tuple[float, float]) -> bool:
+        """Whether the fingers, between two gaps [m], stay off the table until the arm stands."""
+        path = self._tcp_path(self._stop)
+        return bool(self.hand_height.least(path, widths).min() >= 0.0)
 
     @property
     def stop_position(self) -> np.ndarray:
@@ -111,8 +153,8 @@ class JointMotion:
             if speed <= allowed:
                 break
             speed_scale *= 0.95 * allowed / speed
-        if not self._inside(motion, path):
-            raise ValueError("the way leaves the joint limits, the box or the TCP speed limit")
+        if violated := self._violated(motion, path):
+            raise ValueError(f"the way leaves a limit: {describe(violated)}")
         return [JointState(*state) for state in motion]
 
     def _towards(self, velocity: np.ndarray) -> JointState:
@@ -138,6 +180,7 @@ class JointMotion:
         """Profile of the stop from `state`, or None where it would leave a limit."""
         most = self._config.joint_acceleration * (1 + ROUNDING)
         if not np.abs(state.acceleration).max() <= most:  # NaN is unsafe, too
+            self.refused = Limit.JOINT
             return None
         if state.at_rest:
             stop = JointState.standing(state.position).profile()
@@ -148,28 +191,56 @@ class JointMotion:
             request.synchronization = Synchronization.Phase
             stop = self._sample(request)
         ahead = np.concatenate([state.profile(), stop])
-        return stop if self._inside(ahead, self._tcp_path(ahead)) else None
+        self.refused = self._violated(ahead, self._tcp_path(ahead))
+        return None if self.refused else stop
 
-    def _inside(self, profile: np.ndarray, path: np.ndarray) -> bool:
-        """Whether a profile and its TCP path keep every limit but acceleration and jerk."""
+    def too_near(self, position: np.ndarray) -> str:
+        """What an arm standing at (7,) rad would come too near to; "" for nothing."""
+        room = self.clearance.room(position)
+        if room.min() < 0.0:
+            return self.clearance.describe(room)
+        low = self.hand_height.least(self._arm.tcp_placement(position).homogeneous[None])[0]
+        return f"hand {-1e3 * low:.1f} mm too low over the table" if low < 0.0 else ""
+
+    def _violated(self, profile: np.ndarray, path: np.ndarray) -> Limit:
+        """The limits that a profile and its TCP path leave; not acceleration and jerk."""
+        violated = Limit.NONE
         speed = np.abs(profile[:, 1]).max()
-        return bool(
+        if not (
             self._arm.within_limits(profile[:, 0])
-            and (path >= self._box_lower).all()
-            and (path <= self._box_upper).all()
             and speed <= self._config.joint_velocity * (1 + ROUNDING)
-            and self._peak_speed(path) <= self._config.tcp_speed_limit * (1 + ROUNDING)
-        )
+        ):
+            violated |= Limit.JOINT
+        tcp = path[:, :3, 3]
+        if not ((tcp >= self._box_lower).all() and (tcp <= self._box_upper).all()):
+            violated |= Limit.BOX
+        if not self._peak_speed(path) <= self._config.tcp_speed_limit * (1 + ROUNDING):
+            violated |= Limit.TCP_SPEED
+        heights = self.hand_height.least(path)
+        # A hand that something else pushed too low may still be raised.
+        if not heights.min() >= min(0.0, heights[0]) - 1e-12:
+            violated |= Limit.TABLE
+        return violated | self._too_near(profile[:, 0])
+
+    def _too_near(self, postures: np.ndarray) -> Limit:
+        """SELF_COLLISION or TABLE where a capsule of the arm loses its margin in (n, 7) rad."""
+        room = self.room()
+        moved = np.abs(postures - self.state.position) @ REACH  # no distance changes by more
+        for q in postures[moved >= room.min()]:
+            if not self.clearance.clear(q):
+                rooms = self.clearance.room(q)[: self.clearance.self_pairs]
+                return Limit.SELF_COLLISION if rooms.min() < 0.0 else Limit.TABLE
+        return Limit.NONE
 
     def _tcp_path(self, profile: np.ndarray) -> np.ndarray:
-        """(n + 1, 3) positions of `link_tcp` [m], from where it is now along a profile."""
-        positions = [self.state.position, *profile[:, 0]]
-        return np.array([self._arm.tcp_placement(q).translation for q in positions])
+        """(n + 1, 4, 4): placements of `link_tcp`, from where it is now along a profile."""
+        postures = (self.state.position, *profile[:, 0])
+        return np.array([self._arm.tcp_placement(q).homogeneous for q in postures])
 
     def _peak_speed(self, path: np.ndarray) -> float:
-        """Largest speed [m/s] along a (n, 3) path of one point per tick."""
-        steps = np.diff(path, axis=0)
-        return float(np.sqrt((steps * steps).sum(axis=1).max())) / self._config.period
+        """Largest speed [m/s] along a path of one point per tick; 0 of a single point."""
+        steps = np.diff(path[:, :3, 3], axis=0)
+        return float(np.sqrt((steps * steps).sum(axis=1).max(initial=0.0))) / self._config.period
 
     def _request(self, state: JointState) -> InputParameter:
         """A Ruckig request from `state` to rest, at full limits."""
@@ -194,6 +265,11 @@ class JointMotion:
         profile = np.array([trajectory.at_time(time)[:3] for time in times])
         profile[-1, 1:] = 0.0  # exactly, where Ruckig's answer is rounded
         return profile
+
+
+def describe(limits: Limit) -> str:
+    """The limits' names, as in "box, table"."""
+    return ", ".join(str(limit.name).lower().replace("_", " ") for limit in limits)
 
 
 def _scale_into(values: np.ndarray, limit: np.ndarray | float) -> float:

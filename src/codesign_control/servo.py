@@ -12,16 +12,27 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
 import numpy as np
+import pinocchio as pin
 
 from codesign_control.config import ServoConfig
-from codesign_control.motion import DOF, JointMotion, JointState, TrajectoryError
+from codesign_control.hand import Hand
+from codesign_control.motion import (
+    DOF,
+    REACH,
+    JointMotion,
+    JointState,
+    Limit,
+    TrajectoryError,
+)
 from codesign_control.pose import Pose, bounded, difference, finite_vector
 from codesign_control.reference import Reference
 from codesign_control.xarm7 import IkError, Xarm7
 
 SETTLED = 1e-9  # m, rad: a smaller error of the held pose is left alone
 SPEED_RESERVE = 0.95  # of the joint velocity limit is asked for; the rest absorbs overshoot
-LOOK_AHEAD = 1e-4  # s, step of the numeric derivative of the smallest singular value
+LOOK_AHEAD = 1e-4  # s, step of numeric derivatives: smallest singular value, distances
+SLOWED = 0.99  # a scale below this counts as a limit at work
+GRIPPER_STEPS = (1.0, 0.5, 0.25, 0.1)  # parts of the way to the asked gap that are tried
 
 
 class ServoState(IntEnum):
@@ -59,6 +70,7 @@ class ServoCounters:
     halts: int = 0  # watchdog stops
     faults: int = 0
     brakes: int = 0  # ticks in which the asked motion was unsafe and the arm braked instead
+    gripper_waits: int = 0  # ticks in which the gripper waited: its fingers would meet the table
 
 
 @dataclass(frozen=True)
@@ -75,11 +87,22 @@ class ServoOutput:
     active: bool
     state: ServoState
     message: str
+    gripper: float | None  # m, the gap to go to now; None before one was asked for
+    limits: Limit  # what slowed or stopped the motion in this tick
     singularity_scale: float  # 1: full speed; towards 0 near a singularity
     tracking_error: float  # rad, largest |commanded - measured|; NaN without a measurement
     goal: GoalState
     goal_remaining: float  # rad, largest joint distance to the move_to goal; 0 without one
     counters: ServoCounters
+
+
+@dataclass(frozen=True)
+class Proximity:
+    """What the arm is near to, at the last set-point."""
+
+    self_distance: float  # m, least distance of two links that could meet
+    links: tuple[str, str]  # the two
+    table_room: float  # m, how much lower the hand or a link could go
 
 
 class CartesianServo:
@@ -88,13 +111,20 @@ class CartesianServo:
     All times are seconds of one steady clock. Serves one thread.
     """
 
-    def __init__(self, arm: Xarm7, config: ServoConfig | None = None) -> None:
+    def __init__(
+        self, arm: Xarm7, config: ServoConfig | None = None, hand: Hand | None = None
+    ) -> None:
         self.arm = arm
         self.config = config or ServoConfig()
         self.counters = ServoCounters()
         self.state = ServoState.DISABLED
         self.message = "not enabled"
-        self._motion = JointMotion(arm, self.config, arm.home)
+        self.limit_ticks = {limit.name: 0 for limit in Limit if limit.name}  # since the start
+        self._motion = JointMotion(arm, self.config, arm.home, hand)
+        self._limits = Limit.NONE
+        self._gripper_asked: float | None = None
+        self._gripper: float | None = None  # what is allowed of it
+        self._gripper_measured: float | None = None
         self._reference = Reference(self.config, arm.tcp_placement(arm.home))
         self._goal_state = GoalState.NONE
         self._goal_path: list[JointState] = []
@@ -110,7 +140,7 @@ class CartesianServo:
         """DISABLED -> READY, holding the measured posture: the first set-point equals it.
 
         Raises MoveRejected when in another state, still braking, or when the posture lies outside
-        the joint limits or the workspace box.
+        the joint limits or the workspace box, or too near to the arm itself or the table.
         """
         if self.state is not ServoState.DISABLED:
             raise MoveRejected(f"enable: state is {self.state.name}, expected DISABLED")
@@ -119,6 +149,7 @@ class CartesianServo:
         measured = self._checked_posture("measured posture", measured_q)
         self._motion.stand(measured)
         self._measured, self._measured_time = measured, now
+        self._gripper = self._gripper_asked = self._gripper_measured
         self._hold(ServoState.READY, "holding")
         self._goal_state = GoalState.NONE
 
@@ -154,6 +185,36 @@ class CartesianServo:
         self._measured, self._measured_time = measured, now
         self._motion.stand(measured)
         self._hold(ServoState.DISABLED, "fault reset, not enabled")
+
+    def set_hand(self, hand: Hand) -> None:
+        """The gripper carries other fingers. MoveRejected unless DISABLED or FAULT, standing."""
+        if self.state not in (ServoState.DISABLED, ServoState.FAULT):
+            raise MoveRejected(f"set_hand: state is {self.state.name}, expected DISABLED")
+        if not self._motion.state.at_rest:
+            raise MoveRejected("set_hand: still braking")
+        self._motion.set_hand(hand)
+        self._gripper = self._gripper_asked = self._gripper_measured = None
+
+    def observe_gripper(self, width: float) -> None:
+        """The measured gap [m]. Until the first one the fingers are taken to be anywhere."""
+        if math.isfinite(width):
+            self._gripper_measured = width
+            self._spread_fingers(self._gripper)
+
+    def ask_gripper(self, width: float) -> None:
+        """Asks for a gap [m]: `ServoOutput.gripper` goes there as far as the table lets it.
+
+        While the gripper closes its fingers move forward by up to 12 mm, which the arm has to make
+        room for. ValueError when not finite.
+        """
+        if not math.isfinite(width):
+            raise ValueError(f"gripper: gap {width} m, must be finite")
+        self._gripper_asked = width
+
+    @property
+    def gripper_asked(self) -> float | None:
+        """The gap that was asked for [m], or measured when enabled; None before."""
+        return self._gripper_asked
 
     def submit(
         self,
@@ -220,18 +281,34 @@ class CartesianServo:
         the last call. Never raises on bad values: they end in a FAULT, braking.
         """
         self._observe(measured_q, now)
+        self._limits = Limit.NONE
         braking = not self._motion.state.at_rest  # the last set-point of a stop is still sent
         following = self.state is ServoState.MOVING and self._goal_state is not GoalState.RUNNING
         # Written so that NaN and a clock that went backwards count as stale too.
         if following and not 0.0 <= now - self._action_time <= self.config.action_timeout:
             self._count(halts=1)
             self._hold(ServoState.HALTED, "halted: no fresh action")
+        self._move_gripper()
         try:
             self._move()
         except (TrajectoryError, np.linalg.LinAlgError) as error:
             self._motion.brake()
             self.fault(str(error))
+        for limit in self._limits:
+            self.limit_ticks[str(limit.name)] += 1
         return self._output(braking)
+
+    def proximity(self) -> Proximity:
+        """What the arm is near to; computed when asked."""
+        room, own = self._motion.room(), self._motion.clearance.self_pairs
+        nearest = int(room[:own].argmin())
+        tcp = self.arm.tcp_placement(self._motion.state.position)
+        below, _ = self._motion.hand_height.rooms(tcp)
+        return Proximity(
+            self_distance=float(room[nearest]) + self.config.self_collision_margin,
+            links=self._motion.clearance.names[nearest],
+            table_room=float(min(room[own:].min(), below.min())),
+        )
 
     @property
     def commanded_pose(self) -> Pose:
@@ -253,8 +330,34 @@ class CartesianServo:
         else:
             self._follow_reference()
 
+    def _move_gripper(self) -> None:
+        """Lets the gripper go towards the asked gap, where its fingers stay off the table."""
+        here, goal = self._gripper, self._gripper_asked
+        if goal is None or goal == here:
+            return
+        start = goal if here is None else here
+        for part in GRIPPER_STEPS:
+            width = goal if part == 1.0 else start + part * (goal - start)
+            if self._motion.allows_widths(self._finger_range(width)):
+                self._gripper = width
+                self._spread_fingers(width)
+                break
+        if self._gripper != goal:
+            self._limits |= Limit.TABLE
+            self._count(gripper_waits=1)
+
+    def _finger_range(self, target: float | None) -> tuple[float, float]:
+        """Between these gaps [m] the fingers may be while the gripper goes to `target`."""
+        measured = self._gripper_measured
+        known = [width for width in (measured, target) if width is not None]
+        return (min(known), max(known))
+
+    def _spread_fingers(self, target: float | None) -> None:
+        self._motion.hand_height.set_widths(self._finger_range(target))
+
     def _follow_goal(self) -> None:
         if not self._motion.follow(self._goal_path.pop(0)):
+            self._limits |= self._motion.refused
             self._end_goal(GoalState.ABORTED)
             self._hold(ServoState.READY, "goal aborted: a limit was in the way")
         elif not self._goal_path:
@@ -273,11 +376,32 @@ class CartesianServo:
         if np.abs(twist).max() < SETTLED:
             twist = np.zeros(6)
         twist = bounded(twist, config.linear_speed, config.angular_speed)
-        to_lower = np.subtract(config.box_lower, commanded.translation)
-        to_upper = np.subtract(config.box_upper, commanded.translation)
-        twist[:3] = np.clip(twist[:3], config.limit_gain * to_lower, config.limit_gain * to_upper)
+        twist = self._inside_box(self._above_table(twist, commanded), commanded)
         if not self._motion.follow_velocity(self._joint_velocity(q, twist)):
+            self._limits |= self._motion.refused
             self._count(brakes=1)
+
+    def _above_table(self, twist: np.ndarray, commanded: pin.SE3) -> np.ndarray:
+        """(6,) twist, raised where a point of the hand would approach the table too fast."""
+        rooms, offsets = self._motion.hand_height.rooms(commanded)
+        turning = twist[3] * offsets[:, 1] - twist[4] * offsets[:, 0]  # z of w x r
+        slowest = -self.config.limit_gain * (rooms - self.config.finger_margin) - turning
+        lowest = float(slowest.max())
+        if lowest > twist[2]:
+            twist = twist.copy()
+            twist[2] = min(lowest, self.config.linear_speed)
+            self._limits |= Limit.TABLE
+        return twist
+
+    def _inside_box(self, twist: np.ndarray, commanded: pin.SE3) -> np.ndarray:
+        """(6,) twist, slowed towards the sides of the workspace box."""
+        gain = self.config.limit_gain
+        to_lower = np.subtract(self.config.box_lower, commanded.translation)
+        to_upper = np.subtract(self.config.box_upper, commanded.translation)
+        inside = np.clip(twist[:3], gain * to_lower, gain * to_upper)
+        if (inside != twist[:3]).any():
+            self._limits |= Limit.BOX
+        return np.concatenate([inside, twist[3:]])
 
     def _joint_velocity(self, q: np.ndarray, twist: np.ndarray) -> np.ndarray:
         """(7,) rad/s that move the TCP with a (6,) twist, slowed where a limit is near."""
@@ -291,7 +415,10 @@ class CartesianServo:
         self._singularity_scale = self._scale_at_singularity(
             q, velocity, left[:, -1], right[5], singular[-1]
         )
-        return velocity * self._singularity_scale * self._scale_at_joints(q, velocity)
+        velocity *= self._singularity_scale * self._scale_at_joints(q, velocity)
+        if self._singularity_scale < SLOWED:
+            self._limits |= Limit.SINGULARITY
+        return velocity * self._scale_at_capsules(q, velocity)
 
     def _elbow_speed(self, null_vector: np.ndarray, q: np.ndarray, twist: np.ndarray) -> float:
         """rad/s along the null space towards the home posture; the elbow rests with the hand."""
@@ -326,12 +453,32 @@ class CartesianServo:
             self.config.limit_gain * np.maximum(room, 0.0),
             SPEED_RESERVE * self.config.joint_velocity,
         )
-        return float(min(1.0, (allowed / np.maximum(np.abs(velocity), 1e-12)).min()))
+        scale = float(min(1.0, (allowed / np.maximum(np.abs(velocity), 1e-12)).min()))
+        if scale < SLOWED:
+            self._limits |= Limit.JOINT
+        return scale
+
+    def _scale_at_capsules(self, q: np.ndarray, velocity: np.ndarray) -> float:
+        """Scale that lets two links, or a link and the table, approach no faster than their
+        distance allows. Moving apart is never slowed."""
+        motion, gain = self._motion, self.config.limit_gain
+        room = motion.room()
+        allowed = gain * np.maximum(room - self.config.approach_margin, 0.0)
+        if allowed.min() > float(np.abs(velocity) @ REACH):
+            return 1.0
+        rate = (motion.clearance.room(q + LOOK_AHEAD * velocity) - room) / LOOK_AHEAD
+        scales = allowed / np.maximum(-rate, 1e-12)
+        tightest = int(scales.argmin())
+        if scales[tightest] < SLOWED:
+            is_self = tightest < motion.clearance.self_pairs
+            self._limits |= Limit.SELF_COLLISION if is_self else Limit.TABLE
+        return float(min(1.0, scales[tightest]))
 
     def _hold(self, state: ServoState, message: str) -> None:
         """Changes state to one that stands: the arm brakes, later motion starts where it stops."""
         self.state, self.message = state, message
         self._singularity_scale = 1.0
+        self._gripper_asked = self._gripper
         self._reference.anchor(self.arm.tcp_placement(self._motion.stop_position))
 
     def _end_goal(self, outcome: GoalState) -> None:
@@ -360,7 +507,7 @@ class CartesianServo:
             )
 
     def _checked_posture(self, name: str, q: Sequence[float] | np.ndarray) -> np.ndarray:
-        """(7,) posture inside the joint limits and the workspace box, or MoveRejected."""
+        """(7,) posture inside the joint limits and the box, near to nothing, or MoveRejected."""
         try:
             posture = finite_vector(name, q, DOF)
         except ValueError as error:
@@ -375,6 +522,8 @@ class CartesianServo:
         for axis, value, low, high in box:
             if not low <= value <= high:
                 raise MoveRejected(f"{name}: TCP {axis} {value:.4f} m, workspace box {low}..{high}")
+        if near := self._motion.too_near(posture):
+            raise MoveRejected(f"{name}: {near}")
         return posture
 
     def _checked_action(
@@ -416,6 +565,8 @@ class CartesianServo:
             active=active,
             state=self.state,
             message=self.message,
+            gripper=self._gripper,
+            limits=self._limits,
             singularity_scale=self._singularity_scale,
             tracking_error=self._tracking_error,
             goal=self._goal_state,

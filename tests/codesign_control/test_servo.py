@@ -105,7 +105,7 @@ def test_holds_without_drift_for_a_minute(arm: Xarm7) -> None:
 
 
 def test_reference_does_not_run_away_from_an_arm_at_the_box(arm: Xarm7) -> None:
-    run = Run(arm)
+    run = Run(arm, ServoConfig(table_height=-0.1))
     for _ in range(60):
         run.act(np.array([0.0, 0.0, -0.0125]))
     floor = run.servo.config.box_lower[2]

@@ -9,7 +9,7 @@ from servo_run import PATTERNS, STILL, Run, hostile
 from codesign_control import ActionRejected, MoveRejected, ServoConfig, ServoState, Xarm7
 
 ARM = Xarm7()
-EVERYWHERE = {"box_lower": (-1.2, -1.2, -0.6), "box_upper": (1.2, 1.2, 1.6)}
+EVERYWHERE = {"box_lower": (-1.2, -1.2, -0.6), "box_upper": (1.2, 1.2, 1.6), "table_height": -0.6}
 ON_THE_TABLE = ServoConfig()
 ALL_ROUND = ServoConfig(**EVERYWHERE)
 
