@@ -27,10 +27,11 @@ def main() -> None:
         "--log", type=Path, default=Path("box.jsonl"), help="every command, JSON lines"
     )
     parser.add_argument("--joints", type=float, nargs=7, help="first posture [rad]")
+    parser.add_argument("--no-second-port", action="store_true", help="as firmware before 1.11")
     options = parser.parse_args()
     # Its lines about clients that have gone are no news here.
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
-    box = Box(options.address, options.log, options.joints)
+    box = Box(options.address, options.log, options.joints, not options.no_second_port)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(box.run())
 

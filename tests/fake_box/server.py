@@ -22,7 +22,13 @@ REPORT_PERIOD = {protocol.REAL: 0.01, protocol.NORMAL: 0.2, protocol.RICH: 0.2} 
 class Box:
     """Arm, gripper, sockets and switches of one control box on one address."""
 
-    def __init__(self, address: str, log: Path, joints: list[float] | None = None) -> None:
+    def __init__(
+        self,
+        address: str,
+        log: Path,
+        joints: list[float] | None = None,
+        second_port: bool = True,
+    ) -> None:
         self.address = address
         self.arm = Arm(np.array(joints)) if joints else Arm()
         self.gripper = Gripper()
@@ -30,6 +36,7 @@ class Box:
         self.silent = False  # answers, but does not report
         self.offline = False  # no listening sockets
         self.delay = 0.0  # s, of every answer
+        self._second_port = second_port
         self._log = log.open("w", buffering=1)
         self._servers: dict[int, asyncio.Server] = {}
         self._clients: set[asyncio.StreamWriter] = set()
@@ -50,8 +57,9 @@ class Box:
         await asyncio.gather(*(self._report(port) for port in REPORT_PERIOD))
 
     async def _listen(self) -> None:
-        for port in (protocol.CONTROL, protocol.CONTROL_2, *REPORT_PERIOD):
-            serve = self._serve if port in (protocol.CONTROL, protocol.CONTROL_2) else self._keep
+        control = (protocol.CONTROL, protocol.CONTROL_2)[: 1 + self._second_port]
+        for port in (*control, *REPORT_PERIOD):
+            serve = self._serve if port in control else self._keep
             self._servers[port] = await asyncio.start_server(
                 lambda r, w, p=port, s=serve: s(r, w, p), self.address, port
             )

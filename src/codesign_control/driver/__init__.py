@@ -2,6 +2,7 @@
 
 from codesign_control.driver.arm_link import LinkError
 from codesign_control.driver.command_checks import REASONS, CommandChecks, CommandRefused
+from codesign_control.driver.command_stream import CommandStream, Measured
 from codesign_control.driver.config import DriverConfig
 from codesign_control.driver.deadline_loop import (
     DeadlineLoop,
@@ -9,13 +10,14 @@ from codesign_control.driver.deadline_loop import (
     prioritize,
     prioritize_process,
 )
-from codesign_control.driver.driver import DriverState, DriverStatus, Measured, XarmDriver
+from codesign_control.driver.driver import DriverState, DriverStatus, XarmDriver
 from codesign_control.driver.gripper import GripperReading
 
 __all__ = [
     "REASONS",
     "CommandChecks",
     "CommandRefused",
+    "CommandStream",
     "DeadlineLoop",
     "Deviation",
     "DriverConfig",

@@ -24,11 +24,11 @@ from codesign_control.driver.arm_link import (
     Reply,
     describe,
 )
-from codesign_control.driver.command_checks import CommandChecks, CommandRefused
+from codesign_control.driver.command_checks import CommandRefused
+from codesign_control.driver.command_stream import CommandStream, Measured
 from codesign_control.driver.config import DriverConfig
 from codesign_control.driver.deadline_loop import DeadlineLoop, Deviation, prioritize
 from codesign_control.driver.gripper import GripperReading, GripperThread
-from codesign_control.driver.playback import LARGEST_LAG, Playback
 from codesign_control.gripper import GripperModel
 
 VELOCITY_REPORTS = 6  # over which the measured velocity is the slope; 50 ms at 100 Hz
@@ -73,15 +73,6 @@ class DriverStatus:
     own_gripper_port: bool
 
 
-@dataclass(frozen=True)
-class Measured:
-    """The arm's posture: moment (steady clock) [s], position [rad], velocity [rad/s], (7,) each."""
-
-    moment: float
-    position: np.ndarray
-    velocity: np.ndarray
-
-
 class XarmDriver:
     """Streams joint commands to one arm and gripper.
 
@@ -100,8 +91,7 @@ class XarmDriver:
     ) -> None:
         self.config = config
         self._on_joints = on_joints
-        self._checks = CommandChecks(config)
-        self._playback = Playback(config)
+        self._stream = CommandStream(config)
         self._gripper = GripperThread(config, on_gripper)
         self._loop = DeadlineLoop(config.period, self._tick, realtime=config.realtime)
         self._state = DriverState.DISCONNECTED
@@ -109,11 +99,8 @@ class XarmDriver:
         self._link: ArmLink | None = None
         self._measured: Measured | None = None
         self._reports: deque[tuple[float, np.ndarray]] = deque(maxlen=VELOCITY_REPORTS)
-        self._inbox: deque[tuple[float, np.ndarray]] = deque(maxlen=256)
-        self._last_sent: np.ndarray | None = None
-        self._matching: tuple[float, np.ndarray] | None = None
-        self._command_at = self._reply_at = 0.0
-        self._points_sent = self._points_held = self._late = self._pauses = 0
+        self._reply_at = 0.0
+        self._points_sent = self._late = 0
         self._connections = 0
         self._error = self._warning = 0
         self._looked_at = self._linked_at = 0.0
@@ -177,12 +164,12 @@ class XarmDriver:
             warning=self._warning,
             firmware=link.version if link else "",
             points_sent=self._points_sent,
-            points_held=self._points_held,
+            points_held=self._stream.held,
             replies_late=self._late,
             connections=self._connections,
-            pauses=self._pauses,
-            refused=dict(self._checks.refused),
-            last_refusal=self._checks.last_refusal,
+            pauses=self._stream.pauses,
+            refused=dict(self._stream.checks.refused),
+            last_refusal=self._stream.checks.last_refusal,
             ticks_missed=self._loop.missed,
             fifo=self._loop.fifo,
             deviation=self._loop.deviation(last=self.config.rate * 10),
@@ -197,10 +184,7 @@ class XarmDriver:
         Raises:
             CommandRefused: it goes no further; counted by its reason.
         """
-        now = time.monotonic()
-        joints = self._checks.check(position, moment, now)
-        self._command_at = now
-        self._inbox.append((moment, joints))
+        self._stream.command(position, moment, time.monotonic())
 
     def command_gripper(self, width: float, speed: float = 0.0, effort: float = 0.0) -> None:
         """Takes a target of the gripper: gap [m], speed [m/s], share of the largest force.
@@ -211,7 +195,7 @@ class XarmDriver:
         try:
             self._gripper.command(width, speed, effort)
         except CommandRefused as refusal:
-            self._checks.count(refusal)
+            self._stream.checks.count(refusal)
             raise
 
     def mount(self, model: GripperModel) -> None:
@@ -290,10 +274,7 @@ class XarmDriver:
     def _enter(self, state: DriverState, message: str) -> None:
         """Changes the state; only with the lock held."""
         if state is not DriverState.STREAMING:
-            self._last_sent = None
-            self._matching = None
-            self._inbox.clear()
-            self._checks.forget()
+            self._stream.reset(message)
         self._state, self._message = state, message
         self._gripper.allow(state in (DriverState.MATCHING, DriverState.STREAMING))
 
@@ -304,13 +285,6 @@ class XarmDriver:
                 self._enter(DriverState.FAULT, message)
         self._looked_at = 0.0
         self._attention.set()
-
-    def _pause(self, why: str) -> None:
-        """Streaming stops; the next command must match the posture again."""
-        with self._lock:
-            if self._state is DriverState.STREAMING:
-                self._pauses += 1
-                self._enter(DriverState.MATCHING, f"paused: {why}; waiting for matching commands")
 
     # --- reports of the arm
 
@@ -333,96 +307,27 @@ class XarmDriver:
     # --- streaming thread
 
     def _tick(self, now: float) -> None:
-        state, link = self._state, self._link
-        if link is None or state not in (DriverState.MATCHING, DriverState.STREAMING):
-            self._inbox.clear()
+        link = self._link
+        if link is None or self._state not in (DriverState.MATCHING, DriverState.STREAMING):
             return
         if link.mode != SERVO_MODE or link.state in STOPPED_STATES:
             self._fault(f"the arm left servo mode: mode {link.mode}, state {link.state}; recover")
             return
-        if state is DriverState.MATCHING:
-            self._match(now)
-        while self._state is DriverState.STREAMING and self._inbox:
-            self._playback.add(*self._inbox.popleft())
-        if self._state is DriverState.STREAMING:
-            self._stream(link, now)
-
-    def _match(self, now: float) -> None:
-        """Begins to stream where two commands in a row stand still at the measured posture."""
-        while self._inbox:
-            moment, joints = self._inbox.popleft()
-            before, self._matching = self._matching, (moment, joints)
-            measured = self._measured
-            if before is None or measured is None:
-                continue
-            speed = float(np.abs(joints - before[1]).max()) / max(moment - before[0], 1e-6)
-            why = self._mismatch(joints, speed, measured, now)
-            if why:
-                self._checks.count(CommandRefused("no_match", why))
-                continue
-            with self._lock:
-                if self._state is not DriverState.MATCHING:
-                    return
-                self._playback.begin(moment, joints, measured.position)
-                self._last_sent = measured.position
-                self._reply_at = now
-                self._state, self._message = DriverState.STREAMING, "streaming"
-            return
-
-    def _mismatch(
-        self, joints: np.ndarray, speed: float, measured: Measured, now: float
-    ) -> str | None:
-        config = self.config
-        if now - measured.moment > config.report_timeout:
-            return "the measured posture is old"
-        apart = np.abs(joints - measured.position)
-        if apart.max() > config.match_tolerance:
-            k = int(np.argmax(apart))
-            return (
-                f"joint {k + 1} is commanded {apart[k]:.4f} rad away from where it is, "
-                f"at most {config.match_tolerance} rad to begin: enable the controller anew"
-            )
-        if speed > config.match_speed:
-            return f"commands move at {speed:.3f} rad/s: to begin at most {config.match_speed}"
-        arm_speed = float(np.abs(measured.velocity).max())
-        if arm_speed > config.match_speed:
-            return f"the arm moves at {arm_speed:.3f} rad/s: to begin at most {config.match_speed}"
-        return None
-
-    def _stream(self, link: ArmLink, now: float) -> None:
-        if now - self._command_at > self.config.command_timeout:
-            self._pause(f"no command for {now - self._command_at:.2f} s")
-            return
-        if self._playback.lag(now) > LARGEST_LAG:
-            self._pause(f"{self._playback.lag(now):.2f} s behind")
-            return
-        point = self._playback.next(now)
-        why = self._not_to_be_sent(point)
-        if why:
-            self._points_held += 1
-            self._pause(why)
-            return
-        # The state may have changed in another thread: whoever changed it, waits for this lock
-        # before it talks to the arm.
+        # Whoever changes the state waits for this lock before it talks to the arm.
         with self._lock:
-            if self._state is not DriverState.STREAMING:
+            was = self._state
+            if was not in (DriverState.MATCHING, DriverState.STREAMING) or link is not self._link:
+                return
+            point = self._stream.tick(now, self._measured)
+            if self._stream.playing and was is DriverState.MATCHING:
+                self._reply_at = now
+            self._state = DriverState.STREAMING if self._stream.playing else DriverState.MATCHING
+            self._message = self._stream.message
+            if point is None:
                 return
             reply = link.servo(point)
-            self._last_sent = point
             self._points_sent += 1
         self._judge(reply, now)
-
-    def _not_to_be_sent(self, point: np.ndarray) -> str | None:
-        """The last look before the SDK, whatever went before."""
-        try:
-            self._checks.joints(point)
-        except CommandRefused as refusal:
-            return str(refusal)
-        assert self._last_sent is not None
-        step = float(np.abs(point - self._last_sent).max())
-        if step > self.config.largest_step + 1e-9:
-            return f"a step of {step:.4f} rad, at most {self.config.largest_step:.4f} rad"
-        return None
 
     def _judge(self, reply: Reply, now: float) -> None:
         if reply is Reply.DONE:
@@ -434,7 +339,6 @@ class XarmDriver:
             self._fault("the arm reports an error; recover")
         elif reply is Reply.LOST:
             self._attention.set()
-            self._pause("connection lost")
         else:
             self._fault(f"{reply.value}; recover")
 
