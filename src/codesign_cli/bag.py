@@ -101,6 +101,7 @@ def _replay_values(result: "Replay") -> dict[str, Any]:
         "identical": result.identical,
         "actions": result.actions,
         "equal": result.equal,
+        "unknown": result.unknown,
         "largest_difference": _or_null(result.largest),
         "first_difference": first and {key: _or_null(value) for key, value in first.items()},
         "policies": [{"policy": name, "sha256": sha or None} for name, sha in result.policies],
@@ -114,6 +115,8 @@ def _replay_rows(result: "Replay") -> list[tuple[str, str]]:
         ("equal", str(result.equal)),
         ("verdict", "the same, bit for bit" if result.identical else "DIFFERENT"),
     ]
+    if result.unknown:
+        rows.append(("cut off", f"{result.unknown} more actions, whose observations are missing"))
     if result.first is not None:
         first = result.first
         rows += [

@@ -1,6 +1,6 @@
 """A scripted expert: approach, close to a width, lift, hold."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,21 @@ class GraspPlan:
     close_speed: float = 0.03
     settle_time: float = 0.8
     hold_time: float = 1.5
+
+    def slowed(self, pace: float) -> "GraspPlan":
+        """The same grasp at a share of its speed, 0 to 1.
+
+        Raises:
+            ValueError: `pace` is not in (0, 1].
+        """
+        if not 0.0 < pace <= 1.0:
+            raise ValueError(f"pace {pace}: must be above 0 and at most 1")
+        return replace(
+            self,
+            speed=self.speed * pace,
+            close_speed=self.close_speed * pace,
+            lift_time=self.lift_time / pace,
+        )
 
 
 @dataclass(frozen=True)

@@ -52,14 +52,17 @@ class Replay:
 
     Attributes:
         policies: name and SHA-256 of the file ("" for the scripted grasp), start by start.
-        actions: recorded.
-        equal: of them, those that came out with the same bits.
+        actions: replayed.
+        unknown: further actions at the end of a recording that was cut off before what they answer
+            was written.
+        equal: of `actions`, those that came out with the same bits.
         largest: largest difference of any component [m or rad]; NaN if one is not finite.
         first: the first that differs.
     """
 
     policies: tuple[tuple[str, str], ...]
     actions: int
+    unknown: int
     equal: int
     largest: float
     first: Difference | None
@@ -75,7 +78,8 @@ def replay(bag: str | Path) -> Replay:
 
     Raises:
         BagError: not a bag; no action or no word of what the policy was made of; or an action,
-            or what one answers, is not in it, so that the policy's state cannot be known.
+            or what one answers, is not in it though what came later is, so that the policy's state
+            cannot be known.
     """
     path = Path(bag)
     messages = read_messages(path, ("/action", *ANSWERED, "/finger_design"), ("/policy/setup",))
@@ -95,12 +99,15 @@ def replay(bag: str | Path) -> Replay:
 def _replay(path: Path, messages: Messages) -> Replay:
     recorded = _Recorded(path, messages)
     policies: list[tuple[str, str]] = []
-    equal, largest = 0, 0.0
+    actions, equal, largest = 0, 0, 0.0
     first: Difference | None = None
     for run in _runs(path, messages["/action"]):
         setup, policy, design = recorded.policy(run[0])
         policies.append((setup.policy, setup.file_hash))
         for message in run:
+            if recorded.ended_before(message):
+                break
+            actions += 1
             was = _vector(message)
             now = _action_vector(policy.act(recorded.observation(message, design)))
             if was.tobytes() == now.tobytes():
@@ -108,7 +115,8 @@ def _replay(path: Path, messages: Messages) -> Replay:
                 continue
             largest = float(np.maximum(largest, np.abs(was - now).max()))
             first = first or _difference(message, was, now)
-    return Replay(tuple(policies), len(messages["/action"]), equal, largest, first)
+    unknown = len(messages["/action"]) - actions
+    return Replay(tuple(policies), actions, unknown, equal, largest, first)
 
 
 def _difference(message: Any, was: Array, now: Array) -> Difference:
@@ -177,6 +185,13 @@ class _Recorded:
         except ValueError as error:
             raise BagError(f"{self._path}: {error}") from error
         return setup, policy, np.array(fingers.parameters, np.float64)
+
+    def ended_before(self, action: Any) -> bool:
+        """Whether the recording was cut off before something that the action answers came in."""
+        return any(
+            nanoseconds(getattr(action, field)) > max(self._seen[topic])
+            for topic, field in ANSWERED.items()
+        )
 
     def observation(self, action: Any, design: Array) -> Observation:
         """What an action answers."""

@@ -59,6 +59,7 @@ def test_every_action_comes_out_again(bags: dict[str, Path], name: str) -> None:
     assert result.first is None
     assert result.identical
     assert result.actions == result.equal > 100
+    assert result.unknown == 0
     ((policy, sha256),) = result.policies
     assert (policy == "scripted") == (sha256 == "") == (name == "scripted")
 
@@ -159,6 +160,26 @@ def test_what_does_not_tell_is_refused(
 ) -> None:
     with pytest.raises(BagError, match=why):
         replay(altered(bags[name], tmp_path / "bag", topic, change))
+
+
+def test_of_a_cut_recording_the_rest_is_replayed(bags: dict[str, Path], tmp_path: Path) -> None:
+    """What one action answers may be written after it: a killed recorder leaves such a tail."""
+    whole = replay(bags["scripted"]).actions
+    with AnyReader([bags["scripted"]]) as reader:
+        stamps = [
+            reader.deserialize(d, c.msgtype).header.stamp
+            for c, _, d in reader.messages()
+            if c.topic == "/tcp_pose"
+        ]
+    end = stamps[len(stamps) // 2]
+    bag = altered(
+        bags["scripted"], tmp_path / "bag", "/tcp_pose",
+        lambda m: (m.header.stamp.sec, m.header.stamp.nanosec) <= (end.sec, end.nanosec),
+    )  # fmt: skip
+    result = replay(bag)
+    assert result.identical
+    assert result.actions + result.unknown == whole
+    assert 0.3 * whole < result.actions < 0.7 * whole
 
 
 def test_a_lost_observation_is_named(bags: dict[str, Path], tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "bringup = codesign_bringup.bringup:main",
+            "operate = codesign_bringup.operate:main",
             "run_trials = codesign_bringup.run_trials:main",
         ],
     },

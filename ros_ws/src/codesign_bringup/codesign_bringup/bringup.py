@@ -3,6 +3,7 @@
     bringup sim                            until Ctrl-C
     bringup sim -- run_trials --count 3    until that job ends; its exit code is ours
     bringup sim --set fem_simulator.tetrahedra=600 --lockstep
+    bringup real --set xarm_driver.address=192.168.1.200 --dry-run
 
 Exit codes: the job's; 0 after Ctrl-C; 3 when a node died; 2 for bad arguments.
 """
@@ -178,6 +179,38 @@ def parse_settings(settings: list[str]) -> dict[str, dict[str, Any]]:
     return parsed
 
 
+def with_options(profile: dict[str, Any], options: list[str]) -> dict[str, dict[str, Any]]:
+    """{node: {parameter: value}} of what the profile lists under these options, such as dry_run.
+
+    Raises:
+        ValueError: the profile has no such option.
+    """
+    offered = profile.get("options", {})
+    merged: dict[str, dict[str, Any]] = {}
+    for option in options:
+        if option not in offered:
+            known = ", ".join(f"--{o.replace('_', '-')}" for o in offered) or "no such option"
+            raise ValueError(f"--{option.replace('_', '-')}: this profile has {known}")
+        for node, values in offered[option].items():
+            merged[node] = merged.get(node, {}) | values
+    return merged
+
+
+def without(profile: dict[str, Any], nodes: list[str]) -> dict[str, Any]:
+    """The profile without these nodes.
+
+    Raises:
+        ValueError: it has no such node.
+    """
+    unknown = sorted(set(nodes) - set(profile["nodes"]))
+    if unknown:
+        raise ValueError(
+            f"--without {', '.join(unknown)}: not in this profile; there are "
+            f"{', '.join(profile['nodes'])}"
+        )
+    return profile | {"nodes": [node for node in profile["nodes"] if node not in nodes]}
+
+
 def run_graph(
     profile: dict[str, Any],
     settings: dict[str, dict[str, Any]],
@@ -186,8 +219,10 @@ def run_graph(
     lockstep: bool,
     log_folder: Path | None,
     quiet: bool,
+    options: list[str] | None = None,
 ) -> int:
     """Runs a profile until its job ends, a node dies or a signal comes; returns the exit code."""
+    chosen = with_options(profile, options or [])
     unknown = set(settings) - set(profile["nodes"])
     if unknown:
         raise ValueError(f"--set names {', '.join(sorted(unknown))}: not in this profile")
@@ -203,7 +238,7 @@ def run_graph(
         for node in profile["nodes"]:
             graph.start(
                 node,
-                defaults.get(node, {}) | settings.get(node, {}),
+                defaults.get(node, {}) | chosen.get(node, {}) | settings.get(node, {}),
                 lockstep=lockstep,
                 # Simulated time waits for everybody; only the wall clock needs priorities.
                 nice=0 if lockstep else profile.get("nice", {}).get(node, 0),
@@ -310,11 +345,35 @@ def main() -> None:
         metavar="NODE.PARAMETER=VALUE",
         help="a node's parameter, as YAML; may be given several times",
     )
+    parser.add_argument(
+        "--dry-run",
+        dest="options",
+        action="append_const",
+        const="dry_run",
+        help="everything runs, nothing moves (profiles with an arm)",
+    )
+    parser.add_argument(
+        "--slow",
+        dest="options",
+        action="append_const",
+        const="slow",
+        help="reduced speed, for first moves (profiles with an arm)",
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="NODE",
+        help="leave a node out, where another program does its work; may be given several times",
+    )
     parser.add_argument("--log-folder", type=Path, help="one log file per node goes there")
     parser.add_argument("--quiet", action="store_true", help="no node logs on the terminal")
     options = parser.parse_args(arguments)
     try:
-        profile, settings = load_profile(options.profile), parse_settings(options.set)
+        profile = without(load_profile(options.profile), options.without)
+        settings = parse_settings(options.set)
+        if "dry_run" in (options.options or []):
+            print("bringup: DRY RUN, nothing will move", file=sys.stderr)
         code = run_graph(
             profile,
             settings,
@@ -322,6 +381,7 @@ def main() -> None:
             lockstep=options.lockstep,
             log_folder=options.log_folder,
             quiet=options.quiet,
+            options=options.options,
         )
     except (FileNotFoundError, ValueError) as error:
         print(f"bringup: {error}", file=sys.stderr)

@@ -114,6 +114,9 @@ class PolicyNode(LeanNode):
         self._lift = declare(
             self, "scripted.lift", GraspPlan().lift, "height to lift [m]", low=0.01, high=0.3
         )
+        self._pace = declare(
+            self, "scripted.pace", 1.0, "share of the usual speed", low=0.1, high=1.0
+        )
         self._lockstep = self.get_parameter("use_sim_time").value
         trained_pair(self._name)  # an unknown name ends the node here
         self._policy: Policy | None = None
@@ -382,7 +385,7 @@ class PolicyNode(LeanNode):
     def _plan_for(self, fingers: FingerPair) -> GraspPlan | None:
         if self._name != SCRIPTED:
             return None
-        plan = replace(plan_for(fingers), lift=self._lift)
+        plan = replace(plan_for(fingers), lift=self._lift).slowed(self._pace)
         return replace(plan, width=self._width) if self._width else plan
 
     async def _fingers_in_use(self) -> FingerPair:

@@ -98,6 +98,17 @@ class TrialRunner(LeanNode):
             "/object_pose",
             "by which the lift is judged; the true pose where a simulator has one beside a camera",
         )
+        self._home_speed = declare(
+            self,
+            "home_speed",
+            0.3,
+            "of the way to the start posture on a real arm, share of the joints' velocity limit",
+            low=0.01,
+            high=1.0,
+        )
+        self._dry_run = declare(
+            self, "dry_run", False, "the arm is told not to move: a trial shows what would be sent"
+        )
         self._silence = declare(
             self,
             "policy_silence",
@@ -115,6 +126,8 @@ class TrialRunner(LeanNode):
         self._heard_at = self._good_at = 0.0
         self._make_interfaces()
         self._diagnostics = Diagnostics(self, self._report)
+        if self._dry_run:
+            self.get_logger().warning("DRY RUN: trials are run, nothing is to move")
 
     def _make_interfaces(self) -> None:
         self._state_pub = self.create_publisher(TrialState, "/trial_state", qos.LATCHED)
@@ -228,6 +241,8 @@ class TrialRunner(LeanNode):
             self._state.ended = stamp_of(self._log.end or 0)
             result.success = result.metrics.success
             result.message = "picked up" if result.success else "not lifted and held"
+            if self._dry_run:
+                result.message = "dry run: nothing moved"
             self._state.metrics = result.metrics
             self._set_state(TrialState.FINISHED, result.message, request)
         except TrialError as error:
@@ -252,7 +267,7 @@ class TrialRunner(LeanNode):
             # A simulated arm needs no person to look at it before it goes on.
             await self._call(self._reset_fault, Trigger.Request())
         await self._call(self._enable, SetBool.Request(data=True))
-        if not self._simulated:
+        if not self._simulated and not self._dry_run:
             await self._go_home()
         return domain
 
@@ -283,7 +298,9 @@ class TrialRunner(LeanNode):
     async def _go_home(self) -> None:
         if not self._move_to.wait_for_server(self._service_timeout):
             raise TrialError("cartesian_controller offers no move_to action")
-        goal = await self._move_to.send_goal_async(MoveTo.Goal(width=math.nan))
+        goal = await self._move_to.send_goal_async(
+            MoveTo.Goal(width=math.nan, speed_scale=self._home_speed)
+        )
         if not goal.accepted:
             raise TrialError("cartesian_controller refused to move to the start posture")
         result = (await goal.get_result_async()).result
@@ -426,7 +443,8 @@ class TrialRunner(LeanNode):
         words = {0: "idle", 1: "preparing", 2: "running", 3: "finished", 4: "failed"}
         failed = self._state.state == TrialState.FAILED
         level = DiagnosticStatus.WARN if failed else DiagnosticStatus.OK
-        return level, self._state.message or words[self._state.state], {"seed": self._state.seed}
+        values = {"seed": self._state.seed, "dry_run": self._dry_run}
+        return level, self._state.message or words[self._state.state], values
 
 
 def _position(message: PoseStamped) -> NDArray[np.float64]:
