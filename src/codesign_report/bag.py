@@ -13,6 +13,7 @@ from codesign_policy.metrics import GraspMetrics, grasp_metrics
 from codesign_report.bag_messages import (
     BagError,
     Messages,
+    nanoseconds,
     policy_window,
     read_messages,
     stamp,
@@ -20,6 +21,7 @@ from codesign_report.bag_messages import (
 from codesign_report.recording import (
     Floats,
     MotionSeries,
+    PoseEstimates,
     SoftBody,
     StressSeries,
     TrialDomain,
@@ -28,7 +30,9 @@ from codesign_report.recording import (
 )
 
 REQUIRED = ("/stress", "/simulation_state", "/soft_body_mesh", "/finger_design", "/object_pose")
-OPTIONAL = ("/gripper_state", "/trial_state")
+TRUTH, REJECTED = "/ground_truth/object_pose", "/object_pose/rejected"
+"""Beside a camera: the object's true pose, and the pictures in which it was not found."""
+OPTIONAL = ("/gripper_state", "/trial_state", TRUTH, REJECTED)
 
 
 def read_trial(bag: str | Path) -> TrialRecording:
@@ -60,7 +64,9 @@ def _recording(path: Path, messages: Messages) -> TrialRecording:
             "record the whole trial"
         )
     gripper, seed, domain = _label(path, messages)
-    times, positions = _series(path, messages, "/object_pose", start, stop, _position)
+    # Where a camera observes the block, the simulator tells the truth beside it.
+    place = TRUTH if messages[TRUTH] else "/object_pose"
+    times, positions = _series(path, messages, place, start, stop, _position)
     gripper_times, width = np.zeros(0), np.zeros((0, 1))
     if messages["/gripper_state"]:
         gripper_times, width = _series(
@@ -82,7 +88,19 @@ def _recording(path: Path, messages: Messages) -> TrialRecording:
         object_positions=positions,
         gripper_times=gripper_times,
         gripper_width=width[:, 0],
+        estimates=_estimates(path, messages, start, stop) if messages[TRUTH] else None,
+        start=start,
     )
+
+
+def _estimates(path: Path, messages: Messages, start: int, stop: int) -> PoseEstimates:
+    """Of the camera, at the times at which the truth is known as well."""
+    times, seen = _series(path, messages, "/object_pose", start, stop, _position)
+    true_times, true = _series(path, messages, TRUTH, start, stop, _position)
+    there = np.column_stack([np.interp(times, true_times, axis) for axis in true.T])
+    rejected = np.unique([nanoseconds(m.stamp) for m in messages[REJECTED]])
+    rejected = rejected[(rejected > start) & (rejected <= stop)]
+    return PoseEstimates(times, seen - there, (rejected - start) * 1e-9)
 
 
 def trial_metrics(trial: TrialRecording | str | Path, **limits: float) -> GraspMetrics:

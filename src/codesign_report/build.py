@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from codesign_report.bag import BagError, read_trial, trial_metrics
+from codesign_report.camera_view import camera_topic, write_camera_video
 from codesign_report.portrait import finger_portrait
 from codesign_report.recording import TrialRecording
 from codesign_report.report import SkippedBag, TrialResult, write_report, write_summary
@@ -107,6 +108,13 @@ def _portraits(recordings: Sequence[TrialRecording]) -> dict[str, bytes]:
     return {name: finger_portrait(trial) for name, trial in first.items()} if len(first) > 1 else {}
 
 
+def _camera_video(recording: TrialRecording, folder: Path) -> Path | None:
+    topic = camera_topic(recording.bag)
+    if topic is None:
+        return None
+    return write_camera_video(recording, folder / f"{recording.name}-camera.mp4", topic)
+
+
 def _render_all(
     recordings: Sequence[TrialRecording],
     folder: Path,
@@ -128,6 +136,6 @@ def _render_all(
         write_video(
             recording, video, stress_max=maximum, width=size[0], height=size[1], progress=report
         )
-        results.append(TrialResult(recording, metrics, video))
+        results.append(TrialResult(recording, metrics, video, _camera_video(recording, folder)))
         done += frame_count(recording)
     return results

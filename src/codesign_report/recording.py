@@ -83,6 +83,30 @@ class MotionSeries:
 
 
 @dataclass(frozen=True)
+class PoseEstimates:
+    """Where a camera saw the object, in a trial whose true poses are known as well.
+
+    Attributes:
+        times: (P,) [s].
+        errors: estimated minus true position in link_base, (P, 3) [m].
+        rejected: times of the pictures in which it was not found, (R,) [s].
+    """
+
+    times: Floats
+    errors: Floats
+    rejected: Floats
+
+    @property
+    def distances(self) -> Floats:
+        """Between estimated and true position, (P,) [m]."""
+        return np.asarray(np.linalg.norm(self.errors, axis=1))
+
+    def percentile(self, share: float) -> float:
+        """The distance below which this share of the estimates lies, 0 to 100 [m]."""
+        return float(np.percentile(self.distances, share))
+
+
+@dataclass(frozen=True)
 class TrialRecording:
     """Everything a report needs of one trial. Time 0: the policy's start, or the first sample.
 
@@ -92,8 +116,11 @@ class TrialRecording:
         domain: material and placement.
         soft_body, left_finger, right_finger: geometry; finger meshes in their own frame.
         stress, motion: simulation truth.
-        object_times, object_positions: /object_pose, (P,) [s] and (P, 3) in link_base [m].
+        object_times, object_positions: the object's pose, (P,) [s] and (P, 3) in link_base [m];
+            the true one where a simulator told it beside a camera.
         gripper_times, gripper_width: /gripper_state, (G,) [s] and gap (G,) [m]; may be empty.
+        estimates: of a camera, where there was one in a simulated cell.
+        start: stamp of time 0 [ns].
     """
 
     bag: Path
@@ -109,6 +136,8 @@ class TrialRecording:
     object_positions: Floats
     gripper_times: Floats
     gripper_width: Floats
+    estimates: PoseEstimates | None = None
+    start: int = 0
 
     @property
     def name(self) -> str:

@@ -18,17 +18,18 @@ from codesign_policy.files import write_text
 from codesign_policy.metrics import GraspMetrics
 from codesign_report.charts import Chart, Drawing, draw, limits
 from codesign_report.comparison import GripperResult, Labelled, compare
-from codesign_report.recording import TrialRecording
+from codesign_report.recording import PoseEstimates, TrialRecording
 from codesign_report.trial_charts import own_charts, shared_charts
 
 
 @dataclass(frozen=True)
 class TrialResult:
-    """A recording, its metrics and its video (None: not rendered)."""
+    """A recording, its metrics, its video and its camera's (None: there is none)."""
 
     recording: TrialRecording
     metrics: GraspMetrics
     video: Path | None = None
+    camera_video: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,7 @@ def _summary(result: TrialResult, folder: Path) -> dict[str, Any]:
         "weight_n": trial.weight,
         "interaction_time_s": metrics.interaction_time,
         "score": metrics.score,
+        **_camera_summary(trial.estimates),
         "domain": {
             "young_modulus_pa": domain["young_modulus"],
             "poisson_ratio": domain["poisson_ratio"],
@@ -133,6 +135,21 @@ def _summary(result: TrialResult, folder: Path) -> dict[str, Any]:
             "y_m": domain["y"],
             "yaw_rad": domain["yaw"],
         },
+    }
+
+
+def _camera_summary(estimates: PoseEstimates | None) -> dict[str, Any]:
+    """How a camera's estimates were; nothing without one."""
+    if estimates is None:
+        return {}
+    return {
+        "camera": {
+            "pose_error_median_m": estimates.percentile(50),
+            "pose_error_p95_m": estimates.percentile(95),
+            "pose_error_max_m": estimates.percentile(100),
+            "pictures_used": len(estimates.times),
+            "pictures_rejected": len(estimates.rejected),
+        }
     }
 
 
@@ -175,6 +192,7 @@ class _Card:
     result: TrialResult
     video: str
     poster: str
+    camera_video: str = ""
 
 
 @dataclass(frozen=True)
@@ -221,13 +239,16 @@ def _drawings(
 
 
 def _card(result: TrialResult) -> _Card:
+    seen = ""
+    if result.camera_video:
+        seen = data_uri("video/mp4", result.camera_video.read_bytes())
     if not result.video:
-        return _Card(result, "", "")
+        return _Card(result, "", "", seen)
     trial = result.recording
     video = data_uri("video/mp4", result.video.read_bytes())
     worst = trial.stress.times[int(np.argmax(trial.stress.top10))]
     still = _still(result.video, float(worst - trial.motion.times[0]))
-    return _Card(result, video, data_uri("image/jpeg", still))
+    return _Card(result, video, data_uri("image/jpeg", still), seen)
 
 
 def _object_size(trial: TrialRecording) -> str:

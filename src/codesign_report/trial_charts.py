@@ -8,11 +8,12 @@ from codesign_policy.metrics import SUCCESS_LIFT, in_contact, lift
 from codesign_report.charts import Chart, Series
 from codesign_report.recording import Floats, TrialRecording
 
-STRESS, FORCE, LIFT, GAP = (
+STRESS, FORCE, LIFT, GAP, SEEN = (
     "Von Mises stress",
     "Finger force on the object",
     "Lift",
     "Gripper gap",
+    "Camera’s estimate, off the true position",
 )
 PICKED_UP = ("picked up", 1e3 * SUCCESS_LIFT)  # mm
 
@@ -49,6 +50,9 @@ def own_charts(trial: TrialRecording) -> list[Chart]:
     if len(trial.gripper_times):
         gap = _gap("between the fingers", trial)
         charts.append(Chart(GAP, "mm", [gap], band=band, decimals=1))
+    if trial.estimates is not None:
+        curves = [_seen("distance", trial), _seen("height", trial, axis=2)]
+        charts.append(Chart(SEEN, "mm", curves, band=band, decimals=2))
     return charts
 
 
@@ -70,7 +74,10 @@ def shared_charts(trials: Sequence[TrialRecording]) -> list[Chart]:
         Chart("Force of each finger, mean", "N", forces, decimals=2),
         Chart(LIFT, "mm", lifts, PICKED_UP, decimals=1),
     ]
-    return [*charts, Chart(GAP, "mm", gaps, decimals=1)] if gaps else charts
+    if gaps:
+        charts.append(Chart(GAP, "mm", gaps, decimals=1))
+    seen = [_seen(t.gripper, t, color=k) for k, t in enumerate(trials) if t.estimates is not None]
+    return [*charts, Chart(SEEN, "mm", seen, decimals=2)] if seen else charts
 
 
 def _contact(trial: TrialRecording) -> np.ndarray:
@@ -89,3 +96,12 @@ def _lift(name: str, trial: TrialRecording, color: int = 0) -> Series:
 
 def _gap(name: str, trial: TrialRecording, color: int = 0) -> Series:
     return Series(name, trial.gripper_times, 1e3 * trial.gripper_width, color, 0)
+
+
+def _seen(
+    name: str, trial: TrialRecording, *, axis: int | None = None, color: int | None = None
+) -> Series:
+    """How far the camera's estimate is off: along an axis, or the distance."""
+    assert trial.estimates is not None
+    error = trial.estimates.distances if axis is None else trial.estimates.errors[:, axis]
+    return Series(name, trial.estimates.times, 1e3 * error, color, None if color is None else 0)

@@ -65,7 +65,7 @@ def write_video(
         raise ValueError(f"video is {width} x {height} px: H.264 needs even numbers")
     if not 1 <= fps <= 120:
         raise ValueError(f"fps is {fps}: give 1 to 120")
-    frames = _frame_times(trial, fps)
+    frames = frame_times(trial, fps)
     maximum = stress_ceiling([trial]) if stress_max is None else stress_max
     target = Path(path)
     with replacing(target) as temporary, Encoder(temporary, width, height, fps) as encoder:
@@ -113,10 +113,15 @@ class Encoder:
 
 def frame_count(trial: TrialRecording, fps: int = FPS) -> int:
     """How many pictures `write_video` renders."""
-    return len(_frame_times(trial, fps))
+    return len(frame_times(trial, fps))
 
 
-def _frame_times(trial: TrialRecording, fps: int) -> Floats:
+def frame_times(trial: TrialRecording, fps: int = FPS) -> Floats:
+    """When the pictures are taken [s].
+
+    Raises:
+        ValueError: the trial is too long.
+    """
     first, last = trial.motion.times[[0, -1]]
     if last - first > LONGEST:
         raise ValueError(
