@@ -12,6 +12,7 @@ from codesign_cli.graph import bringup_command, run_process
 
 BAD_INPUT = 2
 DEFAULT_POLICIES = ["scripted"]
+CAMERA_TIMEOUT = 900.0  # s per trial: rendering and looking take a while on a busy machine
 
 
 def demo(
@@ -27,6 +28,12 @@ def demo(
         bool,
         typer.Option("--real-time", help="on the wall clock; default: simulated time, repeatable"),
     ] = False,
+    camera: Annotated[
+        bool,
+        typer.Option(
+            "--camera", help="the policy sees the block through a rendered camera only; slower"
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="print summary.json at the end")] = False,
 ) -> None:
     """Picks up silk tofu over the ROS 2 graph and writes a report.
@@ -41,14 +48,18 @@ def demo(
       codesign demo --policy scripted --trials 5 --seed 10
 
       codesign demo --policy runs/mine --policy runs/original
+
+      codesign demo --camera
     """
     bringup = bringup_command()
     names = _policy_options(policy)
     part = _empty_folder(out)
-    command = [*bringup, "sim", "--log-folder", str(part / "logs"), "--quiet"]
+    profile = "sim_camera" if camera else "sim"
+    command = [*bringup, profile, "--log-folder", str(part / "logs"), "--quiet"]
     command += ["--set", f"fem_simulator.tetrahedra={tetrahedra}"]
     command += [] if real_time else ["--lockstep"]
     command += ["--", "run_trials", "--count", str(trials), "--seed", str(seed), "--out", str(part)]
+    command += ["--timeout", str(CAMERA_TIMEOUT)] if camera else []
     command += names
     code = run_process(command, apart=True)
     if code not in (0, 1):
@@ -133,7 +144,10 @@ def _print_table(summary: dict[str, Any]) -> None:
     from rich.table import Table
 
     table = Table(title="Silk tofu pick-up")
-    columns = ("gripper", "seed", "success", "top-10 % stress [Pa]", "median [Pa]", "lift [mm]")
+    columns = ["gripper", "seed", "success", "top-10 % stress [Pa]", "median [Pa]", "lift [mm]"]
+    seen = any("camera" in trial for trial in summary["trials"])
+    if seen:
+        columns += ["camera off, median [mm]", "95 % [mm]", "rejected"]
     for column in columns:
         table.add_column(column, justify="right")
     for trial in summary["trials"]:
@@ -144,6 +158,7 @@ def _print_table(summary: dict[str, Any]) -> None:
             _number(trial["top10_stress_pa"], ".0f"),
             _number(trial["median_stress_pa"], ".0f"),
             f"{trial['peak_lift_m'] * 1e3:.1f}",
+            *(_camera_columns(trial) if seen else []),
         )
     Console().print(table)
     for gripper in summary["grippers"]:
@@ -153,6 +168,18 @@ def _print_table(summary: dict[str, Any]) -> None:
                 f"{_number(gripper['top10_ratio'], '.2f')} of the top-10 % stress, "
                 f"{_number(gripper['median_ratio'], '.2f')} of the median"
             )
+
+
+def _camera_columns(trial: dict[str, Any]) -> list[str]:
+    camera = trial.get("camera")
+    if camera is None:
+        return ["-"] * 3
+    pictures = camera["pictures_used"] + camera["pictures_rejected"]
+    return [
+        f"{camera['pose_error_median_m'] * 1e3:.2f}",
+        f"{camera['pose_error_p95_m'] * 1e3:.2f}",
+        f"{camera['pictures_rejected']} of {pictures}",
+    ]
 
 
 def _number(value: float | None, form: str) -> str:
