@@ -27,11 +27,6 @@ PLAN_RESERVE = 0.9  # of the TCP speed limit: braking may add a little to a plan
 ROUNDING = 1e-9  # relative slack for limits that are met exactly
 
 
-# m/rad: no point of the arm or hand moves faster against another one when a joint turns. The reach
-# from each joint's axis with everything stretched, and a hand of 0.35 m.
-REACH = np.array([1.3, 1.3, 1.1, 1.1, 0.6, 0.6, 0.4])
-
-
 class Limit(IntFlag):
     """What slows or stops a motion. Numbered as in ControllerStatus.msg."""
 
@@ -224,9 +219,8 @@ class JointMotion:
 
     def _too_near(self, postures: np.ndarray) -> Limit:
         """SELF_COLLISION or TABLE where a capsule of the arm loses its margin in (n, 7) rad."""
-        room = self.room()
-        moved = np.abs(postures - self.state.position) @ REACH  # no distance changes by more
-        for q in postures[moved >= room.min()]:
+        moved = self.clearance.fastest(postures - self.state.position)
+        for q in postures[(moved >= self.room()).any(axis=1)]:
             if not self.clearance.clear(q):
                 rooms = self.clearance.room(q)[: self.clearance.self_pairs]
                 return Limit.SELF_COLLISION if rooms.min() < 0.0 else Limit.TABLE

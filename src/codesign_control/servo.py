@@ -18,7 +18,6 @@ from codesign_control.config import ServoConfig
 from codesign_control.hand import Hand
 from codesign_control.motion import (
     DOF,
-    REACH,
     JointMotion,
     JointState,
     Limit,
@@ -30,8 +29,9 @@ from codesign_control.xarm7 import IkError, Xarm7
 
 SETTLED = 1e-9  # m, rad: a smaller error of the held pose is left alone
 SPEED_RESERVE = 0.95  # of the joint velocity limit is asked for; the rest absorbs overshoot
-LOOK_AHEAD = 1e-4  # s, step of numeric derivatives: smallest singular value, distances
+LOOK_AHEAD = 1e-4  # s, step of the numeric derivative of the smallest singular value
 SLOWED = 0.99  # a scale below this counts as a limit at work
+PROJECTIONS = 8  # pairs of links, one after the other, whose approach is taken out
 GRIPPER_STEPS = (1.0, 0.5, 0.25, 0.1)  # parts of the way to the asked gap that are tried
 
 
@@ -412,13 +412,13 @@ class CartesianServo:
         damping = config.damping**2 * nearness
         velocity = right[:6].T @ (singular / (singular**2 + damping) * (left.T @ twist))
         velocity += right[6] * self._elbow_speed(right[6], q, twist)
+        velocity = self._away_from_capsules(q, velocity)
         self._singularity_scale = self._scale_at_singularity(
             q, velocity, left[:, -1], right[5], singular[-1]
         )
-        velocity *= self._singularity_scale * self._scale_at_joints(q, velocity)
         if self._singularity_scale < SLOWED:
             self._limits |= Limit.SINGULARITY
-        return velocity * self._scale_at_capsules(q, velocity)
+        return velocity * self._singularity_scale * self._scale_at_joints(q, velocity)
 
     def _elbow_speed(self, null_vector: np.ndarray, q: np.ndarray, twist: np.ndarray) -> float:
         """rad/s along the null space towards the home posture; the elbow rests with the hand."""
@@ -458,21 +458,31 @@ class CartesianServo:
             self._limits |= Limit.JOINT
         return scale
 
-    def _scale_at_capsules(self, q: np.ndarray, velocity: np.ndarray) -> float:
-        """Scale that lets two links, or a link and the table, approach no faster than their
-        distance allows. Moving apart is never slowed."""
-        motion, gain = self._motion, self.config.limit_gain
+    def _away_from_capsules(self, q: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """(7,) rad/s with which no two links, and no link and the table, approach too fast.
+
+        Speed may not exceed limit_gain times what is left of their distance. What is too much of
+        it is taken out; the arm slides along, and moving apart is never slowed.
+        """
+        motion = self._motion
         room = motion.room()
-        allowed = gain * np.maximum(room - self.config.approach_margin, 0.0)
-        if allowed.min() > float(np.abs(velocity) @ REACH):
-            return 1.0
-        rate = (motion.clearance.room(q + LOOK_AHEAD * velocity) - room) / LOOK_AHEAD
-        scales = allowed / np.maximum(-rate, 1e-12)
-        tightest = int(scales.argmin())
-        if scales[tightest] < SLOWED:
-            is_self = tightest < motion.clearance.self_pairs
+        allowed = self.config.limit_gain * np.maximum(room - self.config.approach_margin, 0.0)
+        near = np.flatnonzero(allowed < motion.clearance.fastest(velocity))
+        if not len(near):
+            return velocity
+        slopes, allowed = motion.clearance.gradient(q, near), allowed[near]
+        for _ in range(PROJECTIONS):
+            excess = -slopes @ velocity - allowed
+            worst = int(excess.argmax())
+            if excess[worst] <= 1e-9:
+                return velocity
+            is_self = near[worst] < motion.clearance.self_pairs
             self._limits |= Limit.SELF_COLLISION if is_self else Limit.TABLE
-        return float(min(1.0, scales[tightest]))
+            slope = slopes[worst]
+            velocity = velocity + excess[worst] / max(float(slope @ slope), 1e-6) * slope
+        # Caught between several of them.
+        approach = np.maximum(-slopes @ velocity, 1e-12)
+        return velocity * min(1.0, float((allowed / approach).min()))
 
     def _hold(self, state: ServoState, message: str) -> None:
         """Changes state to one that stands: the arm brakes, later motion starts where it stops."""
