@@ -66,6 +66,51 @@ def graph_timing(bag: str | Path) -> GraphTiming:
     )
 
 
+@dataclass(frozen=True)
+class ServoTiming:
+    """How far a streaming thread woke up from its deadlines, in milliseconds.
+
+    Attributes:
+        p50, p99, max: of the lateness.
+        ticks: how many wake-ups that is.
+        ticks_missed: deadlines that passed before the thread was ready for them.
+        replies_late: servo points whose reply did not come within the wait for it.
+        sched_fifo: whether the thread ran under SCHED_FIFO.
+        streamed: whether it did so to the end.
+    """
+
+    p50: float
+    p99: float
+    max: float
+    ticks: int
+    ticks_missed: int
+    replies_late: int
+    sched_fifo: bool
+    streamed: bool
+
+
+def servo_timing(result: dict[str, Any]) -> ServoTiming:
+    """Sums up what `codesign_bringup.servo_bench` wrote.
+
+    Raises:
+        ValueError: no wake-up in it.
+    """
+    lateness = np.array(result["lateness_s"], dtype=float) * 1e3
+    if not len(lateness):
+        raise ValueError("no wake-ups of the streaming thread were recorded")
+    p50, p99 = np.percentile(lateness, [50, 99])
+    return ServoTiming(
+        p50=float(p50),
+        p99=float(p99),
+        max=float(lateness.max()),
+        ticks=len(lateness),
+        ticks_missed=result["ticks_missed"],
+        replies_late=result["replies_late"],
+        sched_fifo=result["sched_fifo"],
+        streamed=result["state"] == "streaming",
+    )
+
+
 def _periods(stamps: list[int]) -> np.ndarray:
     periods = np.diff(np.sort(np.array(stamps))) * 1e-6
     return periods[periods < PAUSE * 1e3]

@@ -366,8 +366,12 @@ class XarmDriver:
                 if self._link is None:
                     self._closing.wait(self.config.reconnect_period)
                 continue
-            self._attention.wait(min(POLL_PERIOD, self.config.report_timeout / 4.0))
+            asked, period = time.monotonic(), min(POLL_PERIOD, self.config.report_timeout / 4.0)
+            self._attention.wait(period)
             self._attention.clear()
+            if time.monotonic() - asked > 2.0 * period:
+                # This process stood still: reports that came meanwhile wait to be taken in.
+                self._closing.wait(period)
             if self._closing.is_set():
                 return
             self._look_after(self._link)
