@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from codesign_control import Xarm7
 from codesign_control.driver import (
     REASONS,
+    ClockMap,
     CommandChecks,
     CommandRefused,
     CommandStream,
@@ -259,6 +260,41 @@ def test_5_000_adversarial_commands_break_no_limit() -> None:
     assert {"not_finite", "outside_limits", "too_fast", "no_match"} <= set(
         player.stream.checks.refused
     )
+
+
+# --- clocks
+
+
+def test_a_look_that_takes_long_is_no_jerk() -> None:
+    clocks, random = ClockMap(), np.random.default_rng(0)
+    moments = []
+    for k in range(500):
+        wall, steady = 1_000_000_000 * 10**9 + k * 10**7, k * 10**7
+        interrupted = int(random.integers(0, 20_000_000)) if random.random() < 0.1 else 0
+        moments.append(clocks.steady(wall + 5 * 10**6, wall, steady + interrupted))
+    assert np.diff(moments) == pytest.approx(0.01, rel=0.0011)  # 1 % is what the checks allow
+    assert clocks.jumps == 0
+
+
+@pytest.mark.parametrize("jump", [50.0, -50.0])
+def test_a_jump_of_the_wall_clock_is_no_motion(jump: float) -> None:
+    """The controller's and the driver's wall clock are the same one; one command is between."""
+    player, clocks, wall_ahead = Player(), ClockMap(), 0.0
+    refused = 0
+    for k in range(300):
+        stamp = player.now + wall_ahead
+        if k == 150:
+            wall_ahead += jump
+        now = round((player.now + wall_ahead) * 1e9)
+        moment = clocks.steady(round(stamp * 1e9), now, round(player.now * 1e9))
+        refused += not player.send([HOME[0] + 0.3 * max(0, k - 50) * PERIOD, *HOME[1:]], moment)
+        player.tick()
+    assert refused == 1
+    assert clocks.jumps == 1
+    assert player.stream.pauses == 0
+    velocity = np.diff(np.array(player.points)[:, 0]) / PERIOD
+    assert velocity[80:] == pytest.approx(0.3, abs=0.02)
+    assert not player.violations
 
 
 # --- settings and deadlines

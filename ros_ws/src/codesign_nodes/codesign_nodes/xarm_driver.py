@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from codesign_control.driver import (
+    ClockMap,
     CommandRefused,
     DriverConfig,
     DriverState,
@@ -35,8 +36,6 @@ from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, nanosecond
 
 PROCESS_PRIORITY = 10  # SCHED_FIFO of the rest of the process, when realtime
 SWITCH_INTERVAL = 1e-4  # s after which a thread gives up the interpreter to the streaming one
-CLOCK_SLEW = 10_000  # ns per command by which the clocks' difference follows
-CLOCK_JUMP = 50_000_000  # ns; a larger change of it is a jump of the wall clock
 NAMES = [f"joint{k}" for k in range(1, 8)]
 
 
@@ -60,8 +59,7 @@ class XarmDriverNode(LeanNode):
             "",
             "file for the lateness of every wake-up of the streaming thread [s], .npy, at the end",
         )
-        self._clock_offset: int | None = None  # steady clock minus ROS time [ns]
-        self._clock_jumps = 0
+        self._clocks = ClockMap()
         self._commands = 0
         if config.realtime:
             sys.setswitchinterval(SWITCH_INTERVAL)
@@ -211,7 +209,8 @@ class XarmDriverNode(LeanNode):
     # --- commands
 
     def _on_joint_command(self, message: JointCommand) -> None:
-        moment = (nanoseconds(message.valid_at) + self._steady_minus_ros()) * 1e-9
+        now = self.get_clock().now().nanoseconds
+        moment = self._clocks.steady(nanoseconds(message.valid_at), now, time.monotonic_ns())
         self._commands += 1
         try:
             self._driver.command(np.array(message.position), moment)
@@ -223,19 +222,6 @@ class XarmDriverNode(LeanNode):
             self._driver.command_gripper(message.width, message.speed, message.effort)
         except CommandRefused as refusal:
             self._log_refusal(refusal)
-
-    def _steady_minus_ros(self) -> int:
-        """Difference of the clocks [ns]; it follows slowly, so that a late look is no jerk."""
-        difference = time.monotonic_ns() - self.get_clock().now().nanoseconds
-        if self._clock_offset is None:
-            self._clock_offset = difference
-        change = difference - self._clock_offset
-        if abs(change) > CLOCK_JUMP:
-            self._clock_jumps += 1
-            self._clock_offset = difference
-        else:
-            self._clock_offset += min(max(change, -CLOCK_SLEW), CLOCK_SLEW)
-        return self._clock_offset
 
     def _log_refusal(self, refusal: CommandRefused) -> None:
         self.get_logger().warning(f"refused: {refusal}", throttle_duration_sec=1.0)
@@ -333,7 +319,7 @@ class XarmDriverNode(LeanNode):
             "deviation_max_ms": round(status.deviation.max, 3),
             "sched_fifo": status.fifo,
             "process_fifo": self._process_fifo,
-            "clock_jumps": self._clock_jumps,
+            "clock_jumps": self._clocks.jumps,
             "gripper_commands": status.gripper_commands,
             "gripper_port": 503 if status.own_gripper_port else 502,
         }  # fmt: skip
