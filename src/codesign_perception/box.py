@@ -1,14 +1,13 @@
 """A box standing upright: its silhouette in the image and how that moves with its pose.
 
-A pose is (x, y, z, yaw): the box centre in link_base [m], and the angle of its first edge from the
-x axis about z [rad]. The image here is the undistorted plane in pixels of the camera's own focal
-lengths.
+A state is (7,): x, y, z of the box's centre in link_base [m], the angle of its first edge from the
+x axis about z [rad], and its edges' lengths, the last one upright [m]. The image here is the
+undistorted plane in pixels of the camera's own focal lengths.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from codesign_perception.camera import Camera
 
 Floats = NDArray[np.float64]
 
-_SIGNS = np.array([[sx, sy, sz] for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)]) / 2.0
+CORNERS = np.array([[sx, sy, sz] for sx in (-1, 1) for sy in (-1, 1) for sz in (-1, 1)]) / 2.0
 
 
 class UndistortedImage:
@@ -74,27 +73,19 @@ class UndistortedImage:
         return bent * self.focal + self.center
 
 
-@dataclass(frozen=True)
-class Box:
-    """Edge lengths (3,) [m], the first along yaw, the last upright."""
+def placed(state: Floats, fractions: Floats) -> Floats:
+    """(N, 3) points of link_base [m] at `fractions` (N, 3) of the edges from the centre."""
+    c, s = np.cos(state[3]), np.sin(state[3])
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    points: Floats = (fractions * state[4:]) @ turn + state[:3]
+    return points
 
-    size: tuple[float, float, float]
 
-    @cached_property
-    def corners(self) -> Floats:
-        """(8, 3) in its own frame [m]."""
-        return _SIGNS * self.size
-
-    def placed(self, pose: Floats, points: Floats | None = None) -> Floats:
-        """Points (N, 3) of its own frame (its corners) in link_base [m]."""
-        c, s = np.cos(pose[3]), np.sin(pose[3])
-        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return (self.corners if points is None else points) @ turn + pose[:3]
-
-    def silhouette(self, pose: Floats, image: UndistortedImage) -> NDArray[np.intp]:
-        """Indices of the corners on the outline, in order around it."""
-        pixels, _ = image.project(self.placed(pose))
-        return cv2.convexHull(pixels.astype(np.float32), returnPoints=False)[:, 0]
+def silhouette(state: Floats, image: UndistortedImage) -> tuple[Floats, Floats]:
+    """Corners on the outline in order around it: fractions (N, 3) and pixels (N, 2)."""
+    pixels, _ = image.project(placed(state, CORNERS))
+    loop = cv2.convexHull(pixels.astype(np.float32), returnPoints=False)[:, 0]
+    return CORNERS[loop], pixels[loop]
 
 
 @dataclass(frozen=True)
@@ -102,56 +93,60 @@ class Outline:
     """Points along the outline of a box.
 
     Attributes:
-        points: (N, 3) in the box's own frame [m].
+        fractions: (N, 3) of the box's edges, from its centre.
         pixels: (N, 2) where they appear, undistorted.
         normals: (N, 2) unit, outwards.
         edges: (N,) number of the outline's edge that each lies on.
         count: of edges.
     """
 
-    points: Floats
+    fractions: Floats
     pixels: Floats
     normals: Floats
     edges: NDArray[np.intp]
     count: int
 
 
-def outline(
-    box: Box, pose: Floats, image: UndistortedImage, spacing: float, margin: float
-) -> Outline:
+def outline(state: Floats, image: UndistortedImage, spacing: float, margin: float) -> Outline:
     """Points `spacing` px apart on the silhouette, `margin` (a share) away from its corners."""
-    loop = box.silhouette(pose, image)
-    corners = box.corners[loop]
-    pixels, _ = image.project(box.placed(pose, corners))
+    corners, pixels = silhouette(state, image)
     following = np.roll(pixels, -1, axis=0)
     lengths = np.linalg.norm(following - pixels, axis=1)
     counts = np.maximum((lengths * (1.0 - 2.0 * margin) / spacing).astype(int), 1)
     counts[lengths < 4.0 * spacing * margin + 4.0] = 0  # a face seen edge-on
-    edges = np.repeat(np.arange(len(loop)), counts)
+    edges = np.repeat(np.arange(len(corners)), counts)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     share = (np.arange(len(edges)) - starts[edges] + 0.5) / counts[edges]
     share = (margin + (1.0 - 2.0 * margin) * share)[:, None]
-    points = corners[edges] * (1.0 - share) + np.roll(corners, -1, axis=0)[edges] * share
+    fractions = corners[edges] * (1.0 - share) + np.roll(corners, -1, axis=0)[edges] * share
     along = (following - pixels) / np.maximum(lengths, 1e-9)[:, None]
     normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
     center = pixels.mean(axis=0)
     normals *= np.sign(((pixels - center) * normals).sum(axis=1))[:, None]
-    places, _ = image.project(box.placed(pose, points))
-    return Outline(points, places, normals[edges], edges, len(loop))
+    places, _ = image.project(placed(state, fractions))
+    return Outline(fractions, places, normals[edges], edges, len(corners))
 
 
 def offsets_and_jacobian(
-    box: Box, pose: Floats, image: UndistortedImage, line: Outline
+    state: Floats, image: UndistortedImage, line: Outline
 ) -> tuple[Floats, Floats]:
-    """How a pose moves an outline's points along its normals.
+    """How a state moves an outline's points along its normals.
 
     Returns:
-        (N,) offset from `line.pixels` [px]; (N, 4) its derivatives by x, y, z [px/m], yaw [px/rad].
+        (N,) offset from `line.pixels` [px]; (N, 7) its derivatives by the state [px/m, px/rad].
     """
-    placed = box.placed(pose, line.points)
-    pixels, local = image.project(placed)
+    points = placed(state, line.fractions)
+    pixels, local = image.project(points)
     by_point = np.einsum("nk,nkj->nj", line.normals, image.jacobian(local))
-    arm = placed - pose[:3]
+    arm = points - state[:3]
     by_yaw = -by_point[:, 0] * arm[:, 1] + by_point[:, 1] * arm[:, 0]
+    c, s = np.cos(state[3]), np.sin(state[3])
+    along = np.column_stack(
+        [
+            by_point[:, 0] * c + by_point[:, 1] * s,
+            by_point[:, 1] * c - by_point[:, 0] * s,
+            by_point[:, 2],
+        ]
+    )
     offset = ((pixels - line.pixels) * line.normals).sum(axis=1)
-    return offset, np.column_stack([by_point, by_yaw])
+    return offset, np.column_stack([by_point, by_yaw, along * line.fractions])

@@ -26,7 +26,12 @@ class EstimatorConfig:
         max_residual: distance from the fitted outline at which a point no longer agrees [px].
         min_score: share of the outline that must agree with the picture.
         max_rms: of the points that agree, from the fitted outline [px].
-        rest_sigma: uncertainty of the resting block's height [m].
+        max_denied: share of the outline that may contradict the picture; what is merely hidden
+            contradicts nothing.
+        rest_sigma: uncertainty of the table's height [m].
+        size_sigma: of the edges of a block that is left alone: how exactly it was cut [m].
+        size_tolerance: how far the edges of a block left alone may be from `size` [m].
+        held_size_sigma: of the edges of a block between the fingers [m].
         max_sigma: largest standard deviation of x or y that is still told [m].
         noise_floor: least uncertainty of an edge point that is assumed [px].
         correlation: how many neighbouring edge points err together.
@@ -43,9 +48,13 @@ class EstimatorConfig:
     min_overlap: float = 0.6
     spacing: float = 4.0
     max_residual: float = 1.5
-    min_score: float = 0.55
+    min_score: float = 0.5
+    max_denied: float = 0.15
     max_rms: float = 0.8
     rest_sigma: float = 0.0001
+    size_sigma: float = 0.0003
+    size_tolerance: float = 0.002
+    held_size_sigma: float = 0.0025
     max_sigma: float = 0.003
     noise_floor: float = 0.08
     correlation: float = 4.0
@@ -67,7 +76,14 @@ class EstimatorConfig:
             raise ValueError(f"min_score {self.min_score}: must be in (0, 1]")
         if self.reduction not in (1, 2, 4, 8):
             raise ValueError(f"reduction {self.reduction}: 1, 2, 4 or 8")
-        for name in ("max_lift", "spacing", "max_residual", "rest_sigma", "noise_floor"):
+        for name in (
+            "max_lift",
+            "spacing",
+            "max_residual",
+            "rest_sigma",
+            "noise_floor",
+            "size_sigma",
+        ):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} {getattr(self, name)}: must be above 0")
 

@@ -15,6 +15,11 @@ Image = NDArray[np.uint8]
 
 STEP = 0.5  # px between samples
 LEVEL = 3.0  # px at either end of a profile that tell what is inside and outside
+HUE = 0.22  # sine of the angle to the table's colour within which another one is the table's too
+SHADE = (0.45, 1.3)  # brightness of the table in a shadow and in the light
+DOUBT = (
+    0.05  # weight of an edge against something other than the table: it may hide the block's own
+)
 MARGIN = 1.5  # px around the edge itself that belong to neither
 
 
@@ -30,6 +35,14 @@ class Colors:
         """Their distance [grey levels]."""
         return float(np.linalg.norm(self.inside - self.outside))
 
+    def like_table(self, colors: Floats) -> NDArray[np.bool_]:
+        """Which of the (N, 3) colours are the table's, in the light or in a shadow."""
+        length = float(np.linalg.norm(self.outside))
+        along = colors @ self.outside / max(length, 1e-6)
+        across = np.linalg.norm(colors - np.outer(along, self.outside / max(length, 1e-6)), axis=1)
+        shade = along / max(length, 1e-6)
+        return (across < HUE * along + 3.0) & (shade > SHADE[0]) & (shade < SHADE[1])
+
     def share(self, colors: Floats) -> Floats:
         """(..., 3) colours: 1 like the block, 0 like the table."""
         axis = (self.inside - self.outside) / max(self.contrast, 1e-6) ** 2
@@ -43,12 +56,15 @@ class EdgePoints:
     Attributes:
         offsets: (N,) of the picture's edge along the normal [px].
         found: (N,) whether there is an edge that leads from block to something else.
-        inside: (N,) colour inside of it, as `Colors.share`.
+        denied: (N,) whether the block cannot end here: it goes on, or only the table is seen.
+            Where neither is true something hides the block.
+        trust: (N,) weight, 1 for an edge against the table.
     """
 
     offsets: Floats
     found: NDArray[np.bool_]
-    inside: Floats
+    denied: NDArray[np.bool_]
+    trust: Floats
 
 
 def sample(image: Image, plane: UndistortedImage, line: Outline, places: Floats) -> Floats:
@@ -73,14 +89,18 @@ def strongest_edges(
 ) -> EdgePoints:
     """The steepest fall from block to table within `reach` px, to a pixel or so."""
     places = np.arange(-reach - 2.0, reach + 2.01, 1.0)
-    share = colors.share(sample(image, plane, line, places))
+    profile = sample(image, plane, line, places)
+    share = colors.share(profile)
     fall = share[:, :-2] - share[:, 2:]
     fall = np.where(np.isnan(fall), -1.0, fall)
     best = fall.argmax(axis=1)
     rows = np.arange(len(best))
     inside = share[rows, np.maximum(best - 1, 0)]
     found = (fall[rows, best] > 0.2) & (inside > 0.35)
-    return EdgePoints(places[1:-1][best], found, np.nan_to_num(inside))
+    beyond = profile[rows, np.minimum(best + 4, len(places) - 1)]
+    return EdgePoints(
+        places[1:-1][best], found, np.zeros(len(best), dtype=bool), _trust(beyond, colors)
+    )
 
 
 def subpixel_edges(
@@ -107,7 +127,16 @@ def subpixel_edges(
             (inside > 0.4) & (inside < 1.7) & (inside - beyond > 0.3)
             & (np.abs(offsets) <= reach + MARGIN) & (crossings <= 3)
         )  # fmt: skip
-    return EdgePoints(np.nan_to_num(offsets), found, np.nan_to_num(inside))
+        goes_on = (inside > 0.4) & (beyond > 0.4) & (np.abs(inside - beyond) < 0.2)
+        empty = (inside < 0.3) & colors.like_table(inner)
+    denied = (goes_on | empty) & ~found
+    return EdgePoints(np.nan_to_num(offsets), found, denied, _trust(outer, colors))
+
+
+def _trust(beyond: Floats, colors: Colors) -> Floats:
+    """(N,) weights of edges by the colours (N, 3) beyond them."""
+    with np.errstate(invalid="ignore"):
+        return np.where(colors.like_table(beyond), 1.0, DOUBT)
 
 
 def _crossings(share: Floats, places: Floats) -> tuple[Floats, NDArray[np.intp]]:

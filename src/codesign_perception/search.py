@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from codesign_perception.box import Box, UndistortedImage
+from codesign_perception.box import UndistortedImage, silhouette
 from codesign_perception.camera import Floats
 from codesign_perception.config import EstimatorConfig
 from codesign_perception.edges import Colors, Image
@@ -22,16 +22,14 @@ MAX_PATCHES = 12  # largest ones looked at, per threshold
 
 @dataclass(frozen=True)
 class Guess:
-    """A pose (4,) x, y, z [m], yaw [rad]; how well it covers its patch; colours there."""
+    """A state (7,) as of `box`; how well it covers its patch; colours there."""
 
-    pose: Floats
+    state: Floats
     overlap: float
     colors: Colors
 
 
-def guesses(
-    image: Image, plane: UndistortedImage, config: EstimatorConfig, box: Box
-) -> list[Guess]:
+def guesses(image: Image, plane: UndistortedImage, config: EstimatorConfig) -> list[Guess]:
     """The likely places, best first; none may be there."""
     step = config.reduction
     small = np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step])
@@ -47,7 +45,7 @@ def guesses(
     for threshold in THRESHOLDS:
         mask = (white > table + threshold * (top - table)).astype(np.uint8)
         for patch in _patches(mask, config.reduction):
-            guess = _best_guess(small, mask, patch, plane, config, box)
+            guess = _best_guess(small, mask, patch, plane, config)
             if guess is not None and not _is_known(guess, found):
                 found.append(guess)
         if found and max(g.overlap for g in found) > GOOD:
@@ -67,7 +65,7 @@ class _Patch:
 
 
 def _patches(mask: NDArray[np.uint8], step: int) -> list[_Patch]:
-    count, labels, stats, centers = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    _, labels, stats, centers = cv2.connectedComponentsWithStats(mask, connectivity=4)
     least = max(200 // step**2, 12)
     order = [i for i in np.argsort(-stats[1:, cv2.CC_STAT_AREA]) + 1 if stats[i, 4] >= least]
     found = []
@@ -84,16 +82,15 @@ def _best_guess(
     patch: _Patch,
     plane: UndistortedImage,
     config: EstimatorConfig,
-    box: Box,
 ) -> Guess | None:
     """The height and yaw whose silhouette covers the patch best."""
     best: tuple[float, Floats] | None = None
     for lift in LIFTS:
         if lift > config.max_lift:
             break
-        for pose, overlap in _turned(patch, plane, config, box, lift):
+        for state, overlap in _turned(patch, plane, config, lift):
             if best is None or overlap > best[0]:
-                best = (overlap, pose)
+                best = (overlap, state)
         if best is not None and best[0] > 0.8:
             break
     if best is None or best[0] < config.min_overlap:
@@ -105,9 +102,9 @@ def _best_guess(
 
 
 def _turned(
-    patch: _Patch, plane: UndistortedImage, config: EstimatorConfig, box: Box, lift: float
+    patch: _Patch, plane: UndistortedImage, config: EstimatorConfig, lift: float
 ) -> list[tuple[Floats, float]]:
-    """Poses at one height and every yaw, centred on the patch, with their overlap."""
+    """States at one height and every yaw, centred on the patch, with their overlap."""
     step = config.reduction
     z = config.rest_height + lift
     seen = plane.camera.normalized([patch.center * step + step // 2])
@@ -116,7 +113,10 @@ def _turned(
     x0, x1, y0, y1 = config.region
     if not (x0 <= place[0] <= x1 and y0 <= place[1] <= y1):
         return []
-    outlines = [_loop(box, np.array([*place, yaw]), plane) for yaw in YAWS]
+    size = config.settled_size
+    outlines = [
+        silhouette(np.array([*place, yaw, *size]), plane)[1].astype(np.float32) for yaw in YAWS
+    ]
     area = cv2.contourArea(outlines[0]) / step**2
     if not 0.4 < patch.area / max(area, 1.0) < 2.5:
         return []
@@ -129,14 +129,8 @@ def _turned(
     found = []
     for loop, shift, moved, yaw in zip(outlines, shifts, places, YAWS, strict=True):
         corners = (plane.distorted(loop + shift) - step // 2) / step
-        found.append((np.array([*moved, yaw]), _overlap(patch, corners)))
+        found.append((np.array([*moved, yaw, *size]), _overlap(patch, corners)))
     return found
-
-
-def _loop(box: Box, pose: Floats, plane: UndistortedImage) -> NDArray[np.float32]:
-    """Corners of the silhouette in the undistorted picture, (N, 2)."""
-    pixels, _ = plane.project(box.placed(pose))
-    return np.asarray(cv2.convexHull(pixels.astype(np.float32))[:, 0])
 
 
 def _overlap(patch: _Patch, corners: Floats) -> float:
@@ -175,6 +169,6 @@ def _colors(small: Image, mask: NDArray[np.uint8], patch: _Patch) -> Colors:
 def _is_known(guess: Guess, others: list[Guess]) -> bool:
     """Whether another threshold has led to the same place already."""
     return any(
-        np.linalg.norm(guess.pose[:3] - other.pose[:3]) < 0.004 and other.overlap >= guess.overlap
+        np.linalg.norm(guess.state[:3] - other.state[:3]) < 0.004 and other.overlap >= guess.overlap
         for other in others
     )

@@ -1,36 +1,54 @@
 """The pose of a block of known size in one picture, or the reason why there is none.
 
-A search in the reduced picture gives first guesses; each is refined on some hundred edge points
-that are measured to a fraction of a pixel along the normals of the block's outline. Points that
-are hidden, or whose inside does not look like the block, do not count; what agrees in the end is
-the score.
+A search in the reduced picture gives first guesses; each is refined on a hundred edge points that
+are measured to a fraction of a pixel along the normals of the block's outline. What is fitted is
+the box of `box.py`: place, yaw, and how far its edges are from the known ones. What the table or
+the hand says about the height is part of the fit: one camera alone cannot tell a soft block that
+is a percent smaller from one that is a percent further away.
+
+Edge points that are hidden do not count; those that contradict the block speak against it; what
+agrees in the end is the score.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from codesign_perception.box import Box, UndistortedImage, offsets_and_jacobian, outline
+from codesign_perception.box import (
+    Outline,
+    UndistortedImage,
+    offsets_and_jacobian,
+    outline,
+    silhouette,
+)
 from codesign_perception.camera import Camera, Floats
 from codesign_perception.config import EstimatorConfig
-from codesign_perception.edges import Colors, Image, strongest_edges, subpixel_edges
+from codesign_perception.edges import Colors, EdgePoints, Image, strongest_edges, subpixel_edges
 from codesign_perception.search import Guess, guesses
 
 CORNER_MARGIN = 0.08  # share of an edge near its corners that is left out: corners are round
 WIDE, MIDDLE, NARROW = 12.0, 6.0, 3.0  # px that edges are looked for in
+CLEAR = 0.97  # score at which nothing stands around the block
 GOOD = 0.85  # score at which no further guess is tried
-RELEASED_SIGMA = 0.25  # m, of a height of which nothing is known
-REST_MARGIN = 0.1  # px^2: by how much a free height must fit better before the block counts as up
+FREE_SIGMA = 0.25  # m, of a height of which nothing is known
+LIFT_GAIN = 0.1  # px^2: by how much a free height must fit better before the block counts as up
+SIZE_LIMIT = 3.0  # standard deviations
+SCALE = np.array([1e-3, 1e-3, 1e-3, 1e-2, 1e-3, 1e-3, 1e-3])  # mm and centiradians: well scaled
 
 
 @dataclass(frozen=True)
-class HeightPrior:
-    """What is known of the height of the block's centre: z and its standard deviation [m]."""
+class Held:
+    """What the hand that holds the block says about its centre.
 
-    z: float
-    sigma: float
+    Attributes:
+        position: (3,) where it is expected in link_base [m]; x and y only start the fit.
+        sigma: standard deviation of the expected height [m].
+    """
+
+    position: Floats
+    sigma: float = 0.001
 
 
 @dataclass(frozen=True)
@@ -41,20 +59,22 @@ class TofuPose:
         position: (3,) of the block's centre in link_base [m].
         yaw: of its long side from the x axis of link_base, in [-pi / 2, pi / 2) [rad]: a half turn
             cannot be seen.
+        size: (3,) of the fitted box [m].
         covariance: (4, 4) of x, y, z [m^2] and yaw [rad^2], without the camera's own error.
         score: share of the outline that agrees with the picture, 0 to 1.
         rms: of the points that agree [px].
-        resting: whether it stands on the table.
+        state: "resting" on the table, "held" by the hand, or "lifted" by something unknown.
         outline: (N, 2) corners of the silhouette in the picture [px].
         colors: of block and surroundings.
     """
 
     position: Floats
     yaw: float
+    size: Floats
     covariance: Floats
     score: float
     rms: float
-    resting: bool
+    state: str
     outline: Floats
     colors: Colors = field(repr=False)
 
@@ -74,10 +94,22 @@ class Detection:
 
 
 @dataclass(frozen=True)
+class _Belief:
+    """What is known before the picture is: rows (K, 7), their values (K,) and sigmas (K,)."""
+
+    name: str
+    rows: Floats
+    values: Floats
+    sigmas: Floats
+
+
+@dataclass(frozen=True)
 class _Fit:
-    pose: Floats
+    belief: _Belief
+    state: Floats
     covariance: Floats
     score: float
+    denied: float
     rms: float
     edges: int
     colors: Colors
@@ -95,22 +127,23 @@ class TofuPoseEstimator:
         self.config = config or EstimatorConfig()
         self.camera = camera
         self._plane = UndistortedImage(camera)
-        self._box = Box(self.config.settled_size)
+        self._size = np.array(self.config.settled_size)
         self._last: TofuPose | None = None
+        self._table: Floats | None = None
 
     def reset(self) -> None:
-        """Forget where the block was."""
-        self._last = None
+        """Forget where the block was, and the table's colour."""
+        self._last = self._table = None
 
-    def estimate(self, image: Image, height: HeightPrior | None = None) -> Detection:
+    def estimate(self, image: Image, held: Held | None = None) -> Detection:
         """The block's pose in a picture.
 
-        It is looked for where the last picture had it, and everywhere if it is not there.
+        It is looked for where it was seen last, and everywhere if it is not there.
 
         Args:
             image: (height, width, 3) BGR, of the camera's size.
-            height: what is known of the height, such as from the hand that holds the block; None:
-                it may rest on the table or be anywhere above it.
+            held: where a hand that holds the block should have it. What the picture shows
+                decides: a block that was dropped is found on the table.
 
         Raises:
             ValueError: a picture of another size or type.
@@ -120,118 +153,148 @@ class TofuPoseEstimator:
             raise ValueError(
                 f"image is {image.shape} {image.dtype}: the camera's are {shape} uint8 (BGR)"
             )
-        best = self._followed(image, height)
-        if best is None or not self._is_believed(best):
-            best = self._searched(image, height, best)
+        best = self._followed(image, held)
+        if best is None or self._objection(best):
+            best = self._searched(image, held, best)
         return self._judged(best)
 
     # -- attempts
 
-    def _followed(self, image: Image, height: HeightPrior | None) -> _Fit | None:
-        """From where it was last."""
+    def _followed(self, image: Image, held: Held | None) -> _Fit | None:
+        """From where it was last, or where the hand has it now."""
         if self._last is None:
             return None
-        start = np.array([*self._last.position, self._last.yaw])
-        return self._refined(image, Guess(start, 1.0, self._last.colors), height, wide=False)
+        place = self._last.position if held is None else held.position
+        start = np.array([*place, self._last.yaw, *self._last.size])
+        return self._refined(image, Guess(start, 1.0, self._last.colors), held, wide=False)
 
-    def _searched(self, image: Image, height: HeightPrior | None, best: _Fit | None) -> _Fit | None:
+    def _searched(self, image: Image, held: Held | None, best: _Fit | None) -> _Fit | None:
         """From the whole picture."""
-        for guess in guesses(image, self._plane, self.config, self._box):
-            fit = self._refined(image, guess, height, wide=True)
-            if fit is not None and (best is None or _rank(fit) > _rank(best)):
+        for guess in guesses(image, self._plane, self.config):
+            if self._table is not None:  # seen when nothing stood around the block
+                guess = replace(guess, colors=Colors(guess.colors.inside, self._table))
+            fit = self._refined(image, guess, held, wide=True)
+            if fit is not None and (best is None or self._rank(fit) > self._rank(best)):
                 best = fit
-            if best is not None and best.score > GOOD and self._is_believed(best):
+            if best is not None and best.score > GOOD and not self._objection(best):
                 break
         return best
 
-    def _refined(
-        self, image: Image, guess: Guess, height: HeightPrior | None, *, wide: bool
-    ) -> _Fit | None:
-        """The best fit near a guess: at the prior's height, at rest, or wherever it fits."""
-        rest = HeightPrior(self.config.rest_height, self.config.rest_sigma)
-        free = HeightPrior(float(guess.pose[2]), RELEASED_SIGMA)
-        if height is not None:
-            known = self._fit(image, guess, height, wide)
-            if known is not None and self._is_believed(known):
-                return known
-        resting = self._fit(image, guess, rest, wide)
-        if resting is not None and resting.score > GOOD and resting.rms**2 < REST_MARGIN:
+    def _refined(self, image: Image, guess: Guess, held: Held | None, *, wide: bool) -> _Fit | None:
+        """The best fit near a guess: held, at rest, or at whatever height fits."""
+        if held is not None:
+            fit = self._fit(image, guess, self._held(held), wide)
+            if fit is not None and not self._objection(fit):
+                return fit
+        resting = self._fit(image, guess, self._resting(), wide)
+        if resting is not None and resting.score > GOOD and not self._objection(resting):
             return resting
-        lifted = self._fit(image, guess, free, wide)
-        if lifted is None or lifted.pose[2] < rest.z + 0.002:
+        lifted = self._fit(image, guess, self._lifted(guess.state[2]), wide)
+        if lifted is None or lifted.state[2] < self.config.rest_height + 0.002:
             return resting
         if resting is None:
             return lifted
-        gain = _misfit(resting, self.config) - _misfit(lifted, self.config)
-        return lifted if gain > REST_MARGIN else resting
+        return lifted if self._misfit(resting) - self._misfit(lifted) > LIFT_GAIN else resting
+
+    # -- what is believed beforehand
+
+    def _resting(self) -> _Belief:
+        """The foot is on the table."""
+        row = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -0.5])
+        return self._belief(
+            "resting", row, self.config.table_height, self.config.rest_sigma, self.config.size_sigma
+        )
+
+    def _held(self, held: Held) -> _Belief:
+        """The centre is as high as the hand has it; the fingers squeeze."""
+        row = np.eye(7)[2]
+        z = float(held.position[2])
+        return self._belief("held", row, z, held.sigma, self.config.held_size_sigma)
+
+    def _lifted(self, z: float) -> _Belief:
+        """Nothing is known but the size."""
+        return self._belief("lifted", np.eye(7)[2], z, FREE_SIGMA, self.config.size_sigma)
+
+    def _belief(
+        self, name: str, row: Floats, value: float, sigma: float, size_sigma: float
+    ) -> _Belief:
+        return _Belief(
+            name,
+            np.vstack([row, np.eye(7)[4:]]),
+            np.array([value, *self._size]),
+            np.array([sigma, *[size_sigma] * 3]),
+        )
 
     # -- one fit
 
-    def _fit(self, image: Image, guess: Guess, prior: HeightPrior, wide: bool) -> _Fit | None:
+    def _fit(self, image: Image, guess: Guess, belief: _Belief, wide: bool) -> _Fit | None:
         """Gauss-Newton on edge points, measured again as the outline moves."""
-        pose = guess.pose.copy()
-        if prior.sigma < 0.01:
-            pose = self._along_ray(pose, prior.z)
-        colors = guess.colors
-        for reach in (WIDE, WIDE) if wide else (WIDE,):
-            line = outline(self._box, pose, self._plane, 2.0 * self.config.spacing, CORNER_MARGIN)
-            found = strongest_edges(image, self._plane, line, reach, colors)
-            step = self._solved(pose, line, found.offsets, found.found, prior)
-            if step is None:
+        state, spacing = guess.state, self.config.spacing
+        if belief.name != "lifted":
+            state = self._at_height(state, belief)
+        for _ in range(2 if wide else 1):
+            line = outline(state, self._plane, 2.0 * spacing, CORNER_MARGIN)
+            found = strongest_edges(image, self._plane, line, WIDE, guess.colors)
+            solved = self._solved(state, line, found, belief)
+            if solved is None:
                 return None
-            pose = step[0]
-        result = None
+            state = solved[0]
         for reach in (MIDDLE, NARROW, NARROW):
-            line = outline(self._box, pose, self._plane, self.config.spacing, CORNER_MARGIN)
-            found = subpixel_edges(image, self._plane, line, reach, colors)
-            step = self._solved(pose, line, found.offsets, found.found, prior)
-            if step is None:
+            line = outline(state, self._plane, spacing, CORNER_MARGIN)
+            found = subpixel_edges(image, self._plane, line, reach, guess.colors)
+            solved = self._solved(state, line, found, belief)
+            if solved is None:
                 return None
-            pose = step[0]
-            result = step[1:], line, found
-        assert result is not None
-        (covariance, residuals), line, found = result
+            state, covariance, residuals = solved
         agree = found.found & (np.abs(residuals) < self.config.max_residual)
+        denied = found.denied | (found.found & ~agree)
         rms = float(np.sqrt(np.mean(residuals[agree] ** 2))) if agree.any() else np.inf
-        sides = np.bincount(line.edges[agree], minlength=line.count)
-        total = np.bincount(line.edges, minlength=line.count)
-        edges = int((sides > 0.4 * np.maximum(total, 1)).sum())
-        return _Fit(pose, covariance, float(agree.mean()), rms, edges, colors)
+        on_edge = np.bincount(line.edges[agree], minlength=line.count)
+        in_all = np.bincount(line.edges, minlength=line.count)
+        edges = int((on_edge > 0.4 * np.maximum(in_all, 1)).sum())
+        return _Fit(
+            belief, state, covariance, float(agree.mean()), float(denied.mean()), rms, edges,
+            guess.colors,
+        )  # fmt: skip
 
-    def _along_ray(self, pose: Floats, z: float) -> Floats:
-        """The pose at another height that appears at the same place."""
-        pixel = self.camera.project([pose[:3]])
-        place = self.camera.on_plane(pixel, z)[0]
-        return pose if np.isnan(place).any() else np.array([place[0], place[1], z, pose[3]])
+    def _at_height(self, state: Floats, belief: _Belief) -> Floats:
+        """The state at the believed height that appears at the same place."""
+        z = float(belief.values[0])
+        if belief.name == "resting":
+            z += state[6] / 2.0
+        pixel, _ = self._plane.project(state[None, :3])
+        place = self._plane.on_plane(pixel, z)[0]
+        return state if np.isnan(place).any() else np.array([*place, *state[3:]])
 
     def _solved(
-        self, pose: Floats, line: object, offsets: Floats, found: Floats, prior: HeightPrior
+        self,
+        state: Floats,
+        line: Outline,
+        points: EdgePoints,
+        belief: _Belief,
     ) -> tuple[Floats, Floats, Floats] | None:
-        """The pose that the edge points and the height speak for.
+        """The state that edge points and belief speak for.
 
         Returns:
-            pose (4,), covariance (4, 4), residuals (N,) [px]; None if the points fix no pose.
+            state (7,), its covariance (7, 7), residuals (N,) [px]; None if the points fix none.
         """
-        config = self.config
+        config, found, offsets = self.config, points.found, points.offsets
         if found.sum() < 12:
             return None
-        scale = np.array([1e-3, 1e-3, 1e-3, 1e-2])  # mm, centiradians: a well-scaled problem
-        height_weight = (scale[2] / prior.sigma) ** 2
-        normal = np.eye(4)
-        residuals = sigma = None
+        rows = belief.rows * SCALE / belief.sigmas[:, None]
+        prior = rows.T @ rows
+        residuals, jacobian = offsets_and_jacobian(state, self._plane, line)
+        residuals = offsets - residuals
         for _ in range(6):
-            moved, jacobian = offsets_and_jacobian(self._box, pose, self._plane, line)
-            residuals = offsets - moved
-            jacobian = jacobian * scale
-            spread = 1.4826 * np.median(np.abs(residuals[found]))
+            jacobian = jacobian * SCALE
+            spread = 1.4826 * float(np.median(np.abs(residuals[found])))
             cut = max(4.7 * spread, config.max_residual)
             weight = np.where(found, np.maximum(1.0 - (residuals / cut) ** 2, 0.0) ** 2, 0.0)
-            sigma = max(spread, config.noise_floor)
-            weight /= sigma**2 * config.correlation
-            normal = jacobian.T @ (weight[:, None] * jacobian)
-            normal[2, 2] += height_weight
-            right = jacobian.T @ (weight * residuals)
-            right[2] += height_weight * (prior.z - pose[2]) / scale[2]
+            weight *= points.trust
+            weight /= max(spread, config.noise_floor) ** 2 * config.correlation
+            normal = jacobian.T @ (weight[:, None] * jacobian) + prior
+            missing = (belief.values - belief.rows @ state) / belief.sigmas
+            right = jacobian.T @ (weight * residuals) + rows.T @ missing
             try:
                 step = np.linalg.solve(normal, right)
             except np.linalg.LinAlgError:
@@ -239,65 +302,88 @@ class TofuPoseEstimator:
             length = float(np.abs(step).max())
             if not np.isfinite(length):
                 return None
-            pose = pose + scale * step * min(1.0, 20.0 / max(length, 1e-9))
+            state = state + SCALE * step * min(1.0, 20.0 / max(length, 1e-9))
+            residuals, jacobian = offsets_and_jacobian(state, self._plane, line)
+            residuals = offsets - residuals
             if length < 0.005:
                 break
-        moved, _ = offsets_and_jacobian(self._box, pose, self._plane, line)
+        if (state[4:] < 0.3 * self._size).any():
+            return None
         try:
-            covariance = scale[:, None] * np.linalg.inv(normal) * scale
+            covariance = SCALE[:, None] * np.linalg.inv(normal) * SCALE
         except np.linalg.LinAlgError:
             return None
-        return pose, covariance, offsets - moved
+        return state, covariance, residuals
 
     # -- judgement
 
-    def _is_believed(self, fit: _Fit) -> bool:
-        return not self._objection(fit)
+    def _rank(self, fit: _Fit) -> float:
+        return fit.score - fit.denied - 0.2 * min(fit.rms, 2.0)
+
+    def _misfit(self, fit: _Fit) -> float:
+        """Mean square distance of all points, missing ones at the limit [px^2]."""
+        return fit.score * fit.rms**2 + (1.0 - fit.score) * self.config.max_residual**2
 
     def _objection(self, fit: _Fit) -> str:
         """Why a fit is not the block; empty if nothing speaks against it."""
         config = self.config
-        x, y, z, _ = fit.pose
+        x, y, z = fit.state[:3]
         x0, x1, y0, y1 = config.region
-        deviation = float(np.sqrt(np.diag(fit.covariance)[:2].max()))
         if fit.score < config.min_score:
             return (
                 f"only {fit.score:.0%} of the outline agrees with the picture, at least "
                 f"{config.min_score:.0%} must: block hidden, of another size, or camera moved"
             )
+        if fit.denied > config.max_denied:
+            return (
+                f"{fit.denied:.0%} of the outline contradicts the picture, at most "
+                f"{config.max_denied:.0%} may: another thing, or another size"
+            )
         if fit.edges < 3:
             return f"only {fit.edges} edges of the outline are visible, at least 3 must be"
         if fit.rms > config.max_rms:
             return f"outline is off by {fit.rms:.2f} px rms, at most {config.max_rms:.2f}"
+        deviation = fit.state[4:] - self._size
+        limit = config.size_tolerance
+        if fit.belief.name == "held":
+            limit = SIZE_LIMIT * config.held_size_sigma
+        if np.abs(deviation).max() > limit:
+            edge = int(np.abs(deviation).argmax())
+            return (
+                f"edge {edge} measures {1e3 * fit.state[4 + edge]:.1f} mm instead of "
+                f"{1e3 * self._size[edge]:.1f}: another thing, or set size to it"
+            )
         if not (x0 <= x <= x1 and y0 <= y <= y1):
             return f"block at x {x:.3f}, y {y:.3f} m: outside the region {config.region}"
         if not -0.005 <= z - config.rest_height <= config.max_lift:
             return f"block at height {z:.3f} m: not between the table and {config.max_lift} m above"
-        if deviation > config.max_sigma:
+        uncertain = float(np.sqrt(np.diag(fit.covariance)[:3].max()))
+        if uncertain > config.max_sigma:
             return (
-                f"place is uncertain by {1e3 * deviation:.1f} mm, at most "
-                f"{1e3 * config.max_sigma:.1f}: too little of the outline is visible"
+                f"place of the {fit.belief.name} block is uncertain by {1e3 * uncertain:.1f} mm, "
+                f"at most {1e3 * config.max_sigma:.1f}: too little is visible, or it is off the "
+                "table and no hand says how high"
             )
         return ""
 
     def _judged(self, fit: _Fit | None) -> Detection:
         if fit is None:
-            self._last = None
             return Detection(None, "nothing as bright and as large as the block in its region")
         objection = self._objection(fit)
         if objection:
-            self._last = None
             return Detection(None, objection, fit.score)
-        resting = abs(fit.pose[2] - self.config.rest_height) < 0.002
-        corners = self._box.placed(fit.pose)[self._box.silhouette(fit.pose, self._plane)]
+        _, pixels = silhouette(fit.state, self._plane)
+        if fit.score > CLEAR:
+            self._table = fit.colors.outside
         self._last = TofuPose(
-            position=fit.pose[:3].copy(),
-            yaw=wrapped(float(fit.pose[3])),
-            covariance=fit.covariance,
+            position=fit.state[:3].copy(),
+            yaw=wrapped(float(fit.state[3])),
+            size=fit.state[4:].copy(),
+            covariance=fit.covariance[:4, :4].copy(),
             score=fit.score,
             rms=fit.rms,
-            resting=resting,
-            outline=self.camera.project(corners),
+            state=fit.belief.name,
+            outline=self._plane.distorted(pixels),
             colors=fit.colors,
         )
         return Detection(self._last, "", fit.score)
@@ -306,12 +392,3 @@ class TofuPoseEstimator:
 def wrapped(yaw: float) -> float:
     """A yaw in [-pi / 2, pi / 2): a box looks the same after a half turn [rad]."""
     return (yaw + np.pi / 2.0) % np.pi - np.pi / 2.0
-
-
-def _rank(fit: _Fit) -> float:
-    return fit.score - 0.2 * min(fit.rms, 2.0)
-
-
-def _misfit(fit: _Fit, config: EstimatorConfig) -> float:
-    """Mean square distance of all points, missing ones at the limit [px^2]."""
-    return fit.score * fit.rms**2 + (1.0 - fit.score) * config.max_residual**2
