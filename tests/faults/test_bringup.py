@@ -7,7 +7,14 @@ import time
 from pathlib import Path
 
 import pytest
-from codesign_bringup.bringup import executable, load_profile, parse_settings
+import yaml
+from codesign_bringup.bringup import (
+    executable,
+    load_profile,
+    parse_settings,
+    with_options,
+    without,
+)
 
 
 def children_of(pid: int) -> list[int]:
@@ -29,6 +36,15 @@ def is_alive(pid: int) -> bool:
     except OSError:
         return False
     return state != "Z"
+
+
+@pytest.fixture
+def profile(tmp_path: Path) -> str:
+    """Nodes that need neither an arm nor a simulator."""
+    nodes = ["finger_design", "cartesian_controller", "policy", "trial_recorder", "trial_runner"]
+    path = tmp_path / "five.yaml"
+    path.write_text(yaml.safe_dump({"nodes": nodes, "options": {"slow": {"policy": {"x": 1}}}}))
+    return str(path)
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
@@ -55,16 +71,16 @@ def assert_gone(pids: list[int]) -> None:
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_everything(sign: signal.Signals) -> None:
-    process = start("real", "--quiet")
+def test_a_signal_stops_everything(profile: str, sign: signal.Signals) -> None:
+    process = start(profile, "--quiet")
     pids = wait_for_children(process, 5)
     process.send_signal(sign)
     assert process.wait(15) == 0
     assert_gone(pids)
 
 
-def test_a_dead_node_stops_the_others() -> None:
-    process = start("real", "--quiet")
+def test_a_dead_node_stops_the_others(profile: str) -> None:
+    process = start(profile, "--quiet")
     pids = wait_for_children(process, 5)
     os.kill(pids[1], signal.SIGKILL)
     _, errors = process.communicate(timeout=20)
@@ -73,16 +89,16 @@ def test_a_dead_node_stops_the_others() -> None:
     assert_gone(pids)
 
 
-def test_a_killed_bringup_leaves_nothing_behind() -> None:
-    process = start("real", "--quiet")
+def test_a_killed_bringup_leaves_nothing_behind(profile: str) -> None:
+    process = start(profile, "--quiet")
     pids = wait_for_children(process, 5)
     process.kill()
     process.wait(5)
     assert_gone(pids)
 
 
-def test_the_exit_code_is_the_jobs() -> None:
-    process = start("real", "--quiet", "--", "sh", "-c", "exit 7")
+def test_the_exit_code_is_the_jobs(profile: str) -> None:
+    process = start(profile, "--quiet", "--", "sh", "-c", "exit 7")
     assert process.wait(30) == 7
 
 
@@ -92,6 +108,8 @@ def test_the_exit_code_is_the_jobs() -> None:
         (["moon"], "profile moon: not found; there are real, sim"),
         (["sim", "--set", "tetrahedra=600"], "must be node.parameter=value"),
         (["sim", "--set", "camera.rate=3"], "--set names camera: not in this profile"),
+        (["sim", "--dry-run"], "--dry-run: this profile has no such option"),
+        (["sim", "--without", "moon"], "--without moon: not in this profile; there are finger_des"),
     ],
 )
 def test_bad_arguments_name_the_value_and_the_remedy(arguments: list[str], said: str) -> None:
@@ -104,6 +122,25 @@ def test_bad_arguments_name_the_value_and_the_remedy(arguments: list[str], said:
 def test_settings_are_yaml() -> None:
     parsed = parse_settings(["a.x=1", "a.y=0.5", "b.name=stock", "b.list=[1, 2]"])
     assert parsed == {"a": {"x": 1, "y": 0.5}, "b": {"name": "stock", "list": [1, 2]}}
+
+
+def test_options_set_the_parameters_that_the_profile_lists_for_them() -> None:
+    profile = load_profile("real")
+    dry = with_options(profile, ["dry_run"])
+    assert all(values == {"dry_run": True} for values in dry.values())
+    assert {"xarm_driver", "cartesian_controller"} <= dry.keys()
+    both = with_options(profile, ["dry_run", "slow"])
+    assert both["xarm_driver"].keys() == {"dry_run", "joint_velocity"}
+    assert with_options(profile, []) == {}
+    with pytest.raises(ValueError, match="--fast: this profile has --dry-run, --slow"):
+        with_options(profile, ["fast"])
+
+
+def test_nodes_can_be_left_out() -> None:
+    profile = load_profile("real")
+    assert "usb_camera" in profile["nodes"]
+    assert "usb_camera" not in without(profile, ["usb_camera"])["nodes"]
+    assert without(profile, []) == profile
 
 
 def test_profiles_start_nodes_that_exist() -> None:

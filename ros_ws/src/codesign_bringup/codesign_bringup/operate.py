@@ -17,6 +17,7 @@ from typing import Any
 
 import rclpy
 from codesign_interfaces.action import MoveTo
+from codesign_interfaces.msg import ControllerStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
 from rclpy.executors import ExternalShutdownException
@@ -27,6 +28,7 @@ NO_ANSWER = 3
 PATIENCE = 10.0  # s, for a node to appear
 ASK_AGAIN = 5.0  # s; a reply is lost while the nodes still find each other
 LISTEN = 2.5  # s; every node reports once a second
+FOLLOWED = 0.02  # rad, an arm this close to its set-points follows them
 WORDS = {
     DiagnosticStatus.OK: "ok",
     DiagnosticStatus.WARN: "WARNING",
@@ -74,11 +76,28 @@ class Operator(Node):
             if not handle.accepted:
                 raise Refused("cartesian_controller refused the goal")
             result = self._wait(handle.get_result_async(), 120.0, "the end of the motion").result
+            if result.success:
+                self._require_followed()
         finally:
             self.enable("cartesian_controller", on=False)
         if not result.success:
             raise Refused(f"cartesian_controller: {result.message}")
         return "arrived"
+
+    def _require_followed(self) -> None:
+        """Raises Refused when the arm is not where the set-points went, as a disabled one."""
+        errors: list[float] = []
+        topic = "/cartesian_controller/status"
+        self.create_subscription(
+            ControllerStatus, topic, lambda m: errors.append(m.tracking_error), 1
+        )
+        until = time.monotonic() + LISTEN
+        while time.monotonic() < until:
+            rclpy.spin_once(self, timeout_sec=0.1)
+            if errors and errors[-1] < FOLLOWED:
+                return
+        away = f"{errors[-1]:.3f} rad away" if errors else "who knows where"
+        raise Refused(f"the arm did not follow, it is {away}: `operate enable` first")
 
     def health(self) -> dict[str, DiagnosticStatus]:
         """The newest status of every node that reports within some seconds."""

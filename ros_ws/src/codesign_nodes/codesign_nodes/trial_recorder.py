@@ -112,11 +112,20 @@ class TrialRecorder(LeanNode):
             if self._bag is not None:
                 self._bag.put(topic, self.get_clock().now().nanoseconds, data)
 
-        self._subscriptions_by_topic[topic] = (
-            self.create_subscription(message_type, topic, receive, requested, raw=True),
-            type_name,
-            offered,
+        def receive_all(data: bytes, info: dict[str, int]) -> None:
+            """The executor hands over one message per round; what waits behind it is taken at
+            once, or the busiest topics would fall behind on a busy machine."""
+            receive(data, info)
+            for _ in range(DEPTH):
+                waiting = subscription.handle.take_message(message_type, True)
+                if waiting is None:
+                    return
+                receive(*waiting)
+
+        subscription = self.create_subscription(
+            message_type, topic, receive_all, requested, raw=True
         )
+        self._subscriptions_by_topic[topic] = subscription, type_name, offered
 
     async def _on_start(
         self, request: StartRecording.Request, response: StartRecording.Response
@@ -159,13 +168,14 @@ class TrialRecorder(LeanNode):
             patience -= 0.05
         self.get_logger().warning(f"recording without all publishers of {', '.join(missing)}")
 
-    async def _until_drained(self) -> None:
-        """Returns once what was published before now has come in."""
+    async def _until_drained(self) -> bool:
+        """Returns once what was published before now has come in, or too much time has passed."""
         self._stop_asked, self._late_at = time.time_ns(), time.monotonic()
         deadline = self._late_at + DRAIN_TIMEOUT
         while self._late_at + QUIET > time.monotonic() < deadline:
             await self.sleep(QUIET / 2)
         self._stop_asked = 0
+        return time.monotonic() < deadline
 
     def _topic_info(self, topic: str) -> tuple[str, QoSProfile]:
         _, type_name, offered = self._subscriptions_by_topic[topic]
@@ -174,13 +184,16 @@ class TrialRecorder(LeanNode):
     async def _on_stop(
         self, _: StopRecording.Request, response: StopRecording.Response
     ) -> StopRecording.Response:
-        await self._until_drained()
+        all_came = await self._until_drained()
         if self._bag is None:
             response.message = "not recording"
             return response
         bag, self._bag = self._bag, None
         bag.close()
-        response.success, response.message = not bag.error, bag.error or str(bag.path)
+        problem = bag.error
+        if not problem and (bag.lost or not all_came):
+            problem = f"{bag.path} lacks messages: the machine is too busy, or its disk too slow"
+        response.success, response.message = not problem, problem or str(bag.path)
         response.messages = bag.written
         return response
 

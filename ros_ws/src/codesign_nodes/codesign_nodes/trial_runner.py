@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from codesign_interfaces.action import MoveTo, RunTrial
 from codesign_interfaces.msg import (
+    ControllerStatus,
     GripperState,
     PolicyStatus,
     Stress,
@@ -46,6 +47,8 @@ from codesign_policy.metrics import GraspMetrics, grasp_metrics, pose_metrics
 
 RESETS = 5  # until the simulator wears the fingers that the policy is ready for
 RESET_PAUSE = 0.5  # s
+LAST_SAMPLES = 5.0  # s, longest wait for them on a busy machine
+FOLLOWED = 0.02  # rad, a real arm this close to its set-points follows them
 
 
 class TrialError(RuntimeError):
@@ -122,6 +125,7 @@ class TrialRunner(LeanNode):
         self._goal: Any = None
         self._state = TrialState(state=TrialState.IDLE)
         self._log = TrialLog()
+        self._tracking_error = math.inf  # of a real arm [rad]
         self._ended: Future | None = None
         self._heard_at = self._good_at = 0.0
         self._make_interfaces()
@@ -137,6 +141,9 @@ class TrialRunner(LeanNode):
         if not self._simulated:  # by these a grasp is judged where no stress is known
             self.create_subscription(PoseStamped, "/tcp_pose", self._on_tool, qos.EVERY)
             self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.EVERY)
+            self.create_subscription(
+                ControllerStatus, "/cartesian_controller/status", self._on_controller, qos.STATE
+            )
         self._reset = self.create_client(ResetSimulation, "/fem_simulator/reset")
         self._pause = self.create_client(Trigger, "/fem_simulator/pause")
         self._resume = self.create_client(Trigger, "/fem_simulator/resume")
@@ -188,6 +195,9 @@ class TrialRunner(LeanNode):
     def _on_gripper(self, message: GripperState) -> None:
         if self._goal is not None:
             self._log.width[nanoseconds(message.header.stamp)] = message.width
+
+    def _on_controller(self, message: ControllerStatus) -> None:
+        self._tracking_error = message.tracking_error
 
     def _watch(self) -> None:
         """Ends a trial that cannot end by itself; feeds the goal's feedback."""
@@ -306,6 +316,18 @@ class TrialRunner(LeanNode):
         result = (await goal.get_result_async()).result
         if not result.success:
             raise TrialError(f"start posture not reached: {result.message}")
+        await self._until_followed()
+
+    async def _until_followed(self) -> None:
+        """Raises TrialError when the arm is not where the set-points went, as a disabled one."""
+        for _ in range(40):
+            if self._tracking_error < FOLLOWED:
+                return
+            await self.sleep(0.05)
+        raise TrialError(
+            f"the arm is {self._tracking_error:.3f} rad away from the start posture: is its driver "
+            "enabled? `operate status` says, `operate enable` does it"
+        )
 
     async def _let_policy_work(self, request: RunTrial.Goal) -> None:
         self._heard_at = self._good_at = time.monotonic()
@@ -325,11 +347,12 @@ class TrialRunner(LeanNode):
 
     async def _samples_until_end(self) -> None:
         """The last samples may still be on their way when the policy says that it is done."""
-        for _ in range(20):
-            newest = [max(self._log.place, default=0)]
-            if self._simulated:
-                newest.append(max(self._log.stress, default=0))
-            if min(newest) >= (self._log.end or 0):
+        log = self._log
+        series: list[dict[int, Any]] = [log.place]
+        series += [log.stress] if self._simulated else [log.tool, log.width]
+        until = time.monotonic() + LAST_SAMPLES
+        while time.monotonic() < until:
+            if min(max(samples, default=0) for samples in series) >= (log.end or 0):
                 return
             await self.sleep(0.05)
 

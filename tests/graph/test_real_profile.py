@@ -1,0 +1,190 @@
+"""The real profile with the real SDK: a fake control box for the arm, a stand-in for the camera."""
+
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from codesign_bringup.bringup import executable
+
+from codesign_control import Xarm7
+from codesign_control.grasp_frame import start_posture
+from codesign_control.gripper import GripperModel
+from codesign_report.bag_outcome import read_outcome
+from codesign_report.replay import replay
+from tests.fake_box import FakeBox
+
+PLACE = np.array([0.452, 0.003, 0.02])  # of the block [m]
+CLOSED = 0.0305  # m, a gap that holds the block
+MOTION = ("servo_j", "motion_enable", "set_mode", "set_state")
+
+
+class Camera:
+    """Sends the block's pose at 20 Hz; the block goes with closed fingers."""
+
+    def __init__(self, probe: Any) -> None:
+        from codesign_interfaces.msg import GripperState
+        from codesign_nodes import qos
+        from geometry_msgs.msg import PoseStamped
+
+        self._kind = PoseStamped
+        self._probe = probe
+        self._publisher = probe.node.create_publisher(PoseStamped, "/object_pose", qos.POSE_OFFERED)
+        probe.listen("/tcp_pose", PoseStamped, qos.STATE)
+        probe.listen("/gripper_state", GripperState, qos.STATE)
+        self._held: np.ndarray | None = None
+        self.place = PLACE.copy()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        from codesign_nodes import messages
+
+        while not self._stop.wait(0.05):
+            self._follow(messages.from_xyz)
+            message = self._kind(pose=messages.pose(self.place, (0.0, 0.0, 0.0, 1.0)))
+            message.header.stamp = self._probe.node.get_clock().now().to_msg()
+            message.header.frame_id = "link_base"
+            self._publisher.publish(message)
+
+    def _follow(self, from_xyz: Any) -> None:
+        tools, grippers = (self._probe.received[t] for t in ("/tcp_pose", "/gripper_state"))
+        if not tools or not grippers:
+            return
+        tool = from_xyz(tools[-1][1].pose.position)
+        if grippers[-1][1].width > CLOSED or np.linalg.norm(tool - self.place) > 0.04:
+            self._held = None
+        elif self._held is None:
+            self._held = self.place - tool
+        else:
+            self.place = tool + self._held
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def camera(probe: Any) -> Iterator[Camera]:
+    camera = Camera(probe)
+    yield camera
+    camera.close()
+
+
+@pytest.fixture
+def box() -> Iterator[FakeBox]:
+    start = start_posture(Xarm7(), GripperModel(), 0.06)
+    with FakeBox(joints=np.add(start, [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).tolist()) as box:
+        yield box
+
+
+def bringup(box: FakeBox, out: Path, *options: str, job: list[str]) -> subprocess.Popen[str]:
+    command = [
+        str(executable("codesign_bringup", "bringup")), "real", "--quiet",
+        "--log-folder", str(out / "logs"),
+        "--without", "usb_camera", "--without", "tofu_pose_estimator",
+        "--set", f"xarm_driver.address={box.address}", *options, "--", *job,
+    ]  # fmt: skip
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def trial(
+    box: FakeBox, out: Path, *options: str, first: str = "true", timeout: float = 120.0
+) -> tuple[int, str, Any]:
+    """Exit code, output and result of one trial; `first`: what an operator does before."""
+    tools = executable("codesign_bringup", "run_trials").parent
+    job = ["sh", "-c", f"PATH={tools}:$PATH; {first} && exec run_trials --count 1 --out {out}"]
+    said, _ = (process := bringup(box, out, *options, job=job)).communicate(timeout=timeout)
+    path = out / "trials.json"
+    result = json.loads(path.read_text())["trials"][0] if path.exists() else None
+    return process.returncode, said, result
+
+
+def test_a_trial_on_the_arm(box: FakeBox, camera: Camera, tmp_path: Path) -> None:
+    code, said, result = trial(box, tmp_path, first="operate enable")
+    assert code == 0, said
+    assert result["success"], result["message"]
+    assert camera.place[2] == pytest.approx(0.12, abs=0.003)
+    assert not box.violations()
+    bag = Path(result["bag"])
+    outcome = read_outcome(bag)
+    assert not outcome.stress_known
+    assert outcome.metrics.success
+    assert (
+        outcome.metrics.peak_lift == result["metrics"]["peak_lift"] == pytest.approx(0.1, abs=0.003)
+    )
+    again = replay(bag)
+    assert again.identical, again.first
+    assert again.unknown == 0
+
+
+def test_an_arm_that_nobody_enabled_is_named(box: FakeBox, camera: Camera, tmp_path: Path) -> None:
+    code, said, result = trial(box, tmp_path)
+    assert code == 1, said
+    assert "is its driver enabled?" in result["message"]
+    assert box.commands("servo_j") == []
+
+
+def test_a_dry_run_moves_nothing(box: FakeBox, camera: Camera, probe: Any, tmp_path: Path) -> None:
+    """The policy acts, the controller computes, and not one motion command is on the wire."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    probe.listen("/diagnostics", DiagnosticArray, 100)
+    before = box.switch()["joints"]
+    code, said, result = trial(box, tmp_path, "--dry-run")
+    assert code == 1, said  # nothing was picked up
+    assert "DRY RUN" in said
+    assert result["message"] == "dry run: nothing moved"
+    assert box.commands(*MOTION) == []
+    assert box.switch()["joints"] == before
+    dry_runs = {
+        status.name
+        for _, array in probe.received["/diagnostics"]
+        for status in array.status
+        if {v.key: v.value for v in status.values}.get("dry_run") == "True"
+    }
+    assert dry_runs == {"/xarm_driver", "/cartesian_controller", "/trial_runner"}
+    again = replay(Path(result["bag"]))
+    assert again.identical
+    assert again.actions > 100
+
+
+def test_what_an_operator_does(box: FakeBox, camera: Camera, tmp_path: Path) -> None:
+    """Enable, home, emergency stop, recover, home, disable; with the commands of the guide."""
+
+    def operate(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [str(executable("codesign_bringup", "operate")), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=90)
+
+    process = bringup(box, tmp_path, "--slow", job=["sleep", "170"])
+    try:
+        refused = operate("home")
+        enabled = operate("enable")
+        assert enabled.returncode == 0, enabled.stderr
+        assert refused.returncode == 1  # nothing moves before somebody enables the driver
+        home = operate("home", "--speed", "0.2", "--width", "0.06")
+        assert home.returncode == 0, home.stderr
+        goal = start_posture(Xarm7(), GripperModel(), 0.06)
+        assert np.abs(np.array(box.switch()["joints"]) - goal).max() < 0.02
+        box.switch(emergency_stop=2)
+        time.sleep(1.0)
+        stopped = operate("status")
+        assert stopped.returncode == 1
+        assert "ERROR" in stopped.stdout
+        assert operate("recover").returncode == 1  # the button is still pressed
+        box.switch(emergency_stop=0)
+        recovered = operate("recover")
+        assert recovered.returncode == 0, recovered.stderr
+        home = operate("home", "--speed", "0.2")
+        assert home.returncode == 0, home.stderr
+        assert operate("disable").returncode == 0
+        assert not box.violations()
+    finally:
+        process.terminate()
+        process.communicate(timeout=30)
