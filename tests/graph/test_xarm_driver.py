@@ -11,6 +11,7 @@ from codesign_control import Xarm7
 from codesign_control.grasp_frame import start_posture
 from codesign_control.gripper import GripperModel
 from tests.fake_box import FakeBox
+from tests.fake_box.gripper import g2_pulses
 
 READY, MOVING = 1, 2
 
@@ -165,6 +166,94 @@ def test_a_dry_run_reads_and_sends_nothing_that_moves(box: FakeBox, probe: Any, 
     assert not box.commands(*moving)
     assert all(r["gripper"] == "read" for r in box.commands("gripper"))
     assert len(probe.received["/joint_states"]) > 50
+
+
+class BlockOnTheTable:
+    """Stands in for the camera: a block that lies still, 20 times a second."""
+
+    def __init__(self, probe: Any, position: tuple[float, float, float]) -> None:
+        from codesign_nodes import messages, qos
+        from geometry_msgs.msg import PoseStamped
+
+        publisher = probe.node.create_publisher(PoseStamped, "/object_pose", qos.POSE_OFFERED)
+
+        def publish() -> None:
+            pose = PoseStamped(pose=messages.pose(position, (0.0, 0.0, 0.0, 1.0)))
+            pose.header.stamp = probe.node.get_clock().now().to_msg()
+            pose.header.frame_id = "link_base"
+            publisher.publish(pose)
+
+        self._timer = probe.node.create_timer(0.05, publish)
+
+
+def test_the_scripted_policy_grasps_and_lifts_with_the_fake_arm(
+    box: FakeBox, probe: Any, graph: Any
+) -> None:
+    from codesign_interfaces.msg import PolicyStatus
+    from codesign_nodes import qos
+    from std_srvs.srv import Trigger
+
+    cell = Cell(box, probe, graph)
+    graph.start("finger_design")
+    graph.start("policy", {"orders_fingers": False}, realtime=True)
+    probe.listen("/policy/status", PolicyStatus, qos.EVERY)
+    block = BlockOnTheTable(probe, (0.45, 0.02, 0.02))
+    assert block
+    cell.enable_both()
+    cell.probe.wait_for(
+        lambda: probe.call("/policy/start", Trigger, Trigger.Request()).success, 60.0, "the policy"
+    )
+
+    arm = Xarm7()
+
+    def path() -> np.ndarray:
+        """Where the points on the wire have taken the TCP, (n, 3) [m]."""
+        points = box.servo_points()[1][::10]
+        return np.array([arm.fk_tcp(q).position for q in points]).reshape(-1, 3)
+
+    def lifted() -> bool:
+        heights = path()[:, 2]
+        return len(heights) > 0 and heights[-1] > heights.min() + 0.095
+
+    done = probe.poll(lambda: probe.poll(lambda: False, 0.5) or lifted(), 60.0)
+    assert done, (probe.latest("/policy/status").message, cell.diagnosis())
+    way = path()
+    lowest = way[np.argmin(way[:, 2])]
+    # Over the block, which stands off the middle, and down to it.
+    np.testing.assert_allclose(lowest[:2], [0.45, 0.02], atol=0.005)
+    assert 0.0 < lowest[2] < 0.04
+    closed = box.switch()["gripper_position"]
+    assert closed < g2_pulses(28.5)  # on a block of 30 mm
+    assert cell.diagnosis()["pauses"] == "0"
+    assert not box.violations()
+
+
+def test_a_driver_that_is_killed_and_started_again(
+    box: FakeBox, probe: Any, graph: Any, start: np.ndarray
+) -> None:
+    """The controller calls it a fault; after its reset, everything wants enabling once more."""
+    import time
+
+    cell = Cell(box, probe, graph)
+    cell.enable_both()
+    cell.driver.process.kill()
+    fault = 4
+    probe.wait_for(
+        lambda: probe.latest("/cartesian_controller/status").state == fault, 5.0, "a fault"
+    )
+    count = len(probe.received["/joint_states"])
+    graph.start("xarm_driver", {"address": box.address}, realtime=True)
+    probe.wait_for(lambda: len(probe.received["/joint_states"]) > count, 20.0, "states again")
+    connected = [r["t"] for r in box.records() if r.get("event") == "connected"][-1]
+    assert probe.received["/joint_states"][count][0] - connected < 2.0
+    commands = box.commands("servo_j")
+    time.sleep(0.3)
+    assert box.commands("servo_j") == commands
+    answer = cell.trigger("/cartesian_controller/reset_fault")
+    assert answer.success, answer.message
+    cell.enable_both()
+    cell.move(np.add(start, [0.1, 0, 0, 0, 0, 0, 0]))
+    assert not box.violations()
 
 
 @pytest.mark.parametrize(
