@@ -277,7 +277,7 @@ class TrialRunner(LeanNode):
             # A simulated arm needs no person to look at it before it goes on.
             await self._call(self._reset_fault, Trigger.Request())
         await self._call(self._enable, SetBool.Request(data=True))
-        if not self._simulated and not self._dry_run:
+        if not self._simulated:
             await self._go_home()
         return domain
 
@@ -316,7 +316,8 @@ class TrialRunner(LeanNode):
         result = (await goal.get_result_async()).result
         if not result.success:
             raise TrialError(f"start posture not reached: {result.message}")
-        await self._until_followed()
+        if not self._dry_run:
+            await self._until_followed()
 
     async def _until_followed(self) -> None:
         """Raises TrialError when the arm is not where the set-points went, as a disabled one."""
