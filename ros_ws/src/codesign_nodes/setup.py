@@ -7,8 +7,10 @@ NODES = [
     "policy",
     "simulated_camera",
     "teleop",
+    "tofu_pose_estimator",
     "trial_recorder",
     "trial_runner",
+    "usb_camera",
     "xarm_driver",
 ]
 

@@ -63,3 +63,6 @@ POSE_OFFERED, POSE_REQUESTED = command(0.10, KEPT), command(0.20)
 IMAGE_OFFERED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=10, reliability=ReliabilityPolicy.RELIABLE
 )
+IMAGE_REQUESTED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE
+)
