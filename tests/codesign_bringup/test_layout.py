@@ -56,13 +56,31 @@ def published() -> dict[str, str]:
             if isinstance(node, ast.ImportFrom) and node.module
             for alias in node.names
         }
+        parameters = declared_topics(tree)
         for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
             named = len(call.args) >= 2  # not where a base class hands its arguments on
             if named and getattr(call.func, "attr", "") == "create_publisher":
                 kind, topic = call.args[0], call.args[1]
                 assert isinstance(kind, ast.Name)
-                assert isinstance(topic, ast.Constant)
-                found[topic.value.replace("~", f"/{path.stem}")] = classes[kind.id]
+                if isinstance(topic, ast.Attribute):
+                    name = parameters[topic.attr]
+                else:
+                    assert isinstance(topic, ast.Constant)
+                    name = topic.value
+                found[name.replace("~", f"/{path.stem}")] = classes[kind.id]
+    return found
+
+
+def declared_topics(tree: ast.AST) -> dict[str, str]:
+    """Defaults of parameters by the attribute that keeps them: `self._topic = declare(...)`."""
+    found = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Attribute):
+            call = node.value
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "declare":
+                default = call.args[2]
+                if isinstance(default, ast.Constant) and isinstance(default.value, str):
+                    found[node.targets[0].attr] = default.value
     return found
 
 
