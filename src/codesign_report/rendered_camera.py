@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from codesign_perception.camera import Camera
@@ -33,6 +34,7 @@ CAMERA_LOOK = Look(
 )
 """Off-white tofu on a green mat, blue printed fingers, a dark gripper before a grey-blue wall."""
 
+GRID = 16  # px, apart where the lens's distortion is computed
 MOTION_STEPS = 64  # samples along a motion blur's line
 NOISE_OFFSETS = 2**16  # places in the bank of noise where a picture may begin
 SHOT_SHARE = 0.6  # of the noise at full scale that grows with the light
@@ -274,9 +276,7 @@ def _lens(camera: Camera) -> _Lens:
     if not camera.distortion.any():
         width, height = camera.width, camera.height
         return _Lens(width, height, _pinhole(focal, center, width, height))
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    pixels = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
-    straight = _undistorted(camera, pixels) * focal + center
+    straight = _straight(camera)
     low = np.floor(straight.min(axis=0)) - 1.0
     high = np.ceil(straight.max(axis=0)) + 1.0
     width, height = (int(n) for n in high - low + 1.0)
@@ -288,6 +288,27 @@ def _lens(camera: Camera) -> _Lens:
     maps = (straight - low).astype(np.float32).reshape(camera.height, camera.width, 2)
     pinhole = _pinhole(focal, center - low, width, height)
     return _Lens(width, height, pinhole, (maps[..., 0].copy(), maps[..., 1].copy()))
+
+
+def _straight(camera: Camera) -> Floats:
+    """Where each pixel would be without distortion, (height * width, 2) [px].
+
+    Computed on a grid, for it takes long and is smooth; between its points by cubic splines.
+    """
+    across, down = (
+        np.linspace(0.0, n - 1.0, -(-n // GRID) + 1) for n in (camera.width, camera.height)
+    )
+    u, v = np.meshgrid(across, down)
+    flat = _undistorted(camera, np.column_stack([u.ravel(), v.ravel()]))
+    places = flat * camera.matrix[[0, 1], [0, 1]] + camera.matrix[:2, 2]
+    columns, rows = np.arange(camera.width), np.arange(camera.height)
+    return np.stack(
+        [
+            RectBivariateSpline(down, across, axis.reshape(u.shape))(rows, columns)
+            for axis in places.T
+        ],
+        axis=-1,
+    ).reshape(-1, 2)
 
 
 def _undistorted(camera: Camera, pixels: Floats) -> Floats:

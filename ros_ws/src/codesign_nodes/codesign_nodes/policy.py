@@ -48,6 +48,7 @@ from codesign_policy.scripted import GraspPlan
 from codesign_policy.task import POLICY_PERIOD, Observation
 
 PERIOD_NS = round(POLICY_PERIOD * 1e9)
+NEVER = -(10**18)  # ns, before any stamp
 DESIGN_TIMEOUT = 3.0  # s
 ORDER_PATIENCE = 10.0  # s, until an order is given again: a reply may be lost
 STATE_NAMES = {
@@ -219,19 +220,21 @@ class PolicyNode(LeanNode):
 
     def _answer_if_complete(self) -> None:
         """Lockstep: acts once on every moment of the policy's grid, when all is known of it."""
-        if self._policy is None or len(self._latest) < 3:
-            return
         stamps = {key: nanoseconds(m.header.stamp) for key, m in self._latest.items()}
-        now, seen = stamps["tcp_pose"], stamps["object_pose"]
-        if stamps["gripper_state"] != now or now % PERIOD_NS or now <= self._answered:
+        now = stamps.get("tcp_pose", -1)
+        if self._policy is None or stamps.get("gripper_state") != now:
             return
+        if now % PERIOD_NS or now <= self._answered:
+            return
+        seen = stamps.get("object_pose", NEVER)
         if seen > now or (seen < now and not self._object_is_missing(now)):
             return
         self._answered, self._waiting = now, None
         if now - seen <= self._timeout * 1e9:
             self._act()
         else:
-            self._fault(f"no object_pose for {(now - seen) * 1e-9:.2f} s")
+            since = f"for {(now - seen) * 1e-9:.2f} s" if seen != NEVER else "yet"
+            self._fault(f"no object_pose {since}")
 
     def _object_is_missing(self, now: int) -> bool:
         """Whether there will be no pose of this moment: the camera says so, or is silent."""

@@ -128,7 +128,9 @@ class SimulatedCamera(LeanNode):
         """Other shapes: another scene, and another picture of the same moment."""
         self.close()
         self._last = None
-        self._take_if_complete()
+        if self._mesh is not None and self._design is not None:
+            self._renderer = self._make_renderer()
+            self._take_if_complete()
 
     def _on_joints(self, message: JointState) -> None:
         self._joints = message
@@ -141,7 +143,7 @@ class SimulatedCamera(LeanNode):
     def _take_if_complete(self) -> None:
         """One picture of each state, once the arm of the same moment is known."""
         state, joints = self._state, self._joints
-        if state is None or joints is None or self._mesh is None or self._design is None:
+        if state is None or joints is None or self._renderer is None:
             return
         if self._lockstep and joints.header.stamp != state.header.stamp:
             return
@@ -157,8 +159,6 @@ class SimulatedCamera(LeanNode):
 
     def _picture(self, state: SimulationState, joints: JointState) -> CompressedImage:
         started = time.monotonic()
-        if self._renderer is None:
-            self._renderer = self._make_renderer()
         self._arm.place(np.array(joints.position[:7]))
         picture = self._renderer.capture(
             SceneState(
@@ -204,7 +204,7 @@ class SimulatedCamera(LeanNode):
             TriangleMesh(np.asarray(m.vertices, np.float64), np.asarray(m.faces, np.int64))
             for m in (design.left, design.right)
         ]
-        return RenderedCamera(
+        renderer = RenderedCamera(
             self._camera,
             body,
             fingers,
@@ -214,6 +214,10 @@ class SimulatedCamera(LeanNode):
             focus=POSITION,
             look=replace(CAMERA_LOOK, samples=self._samples),
         )
+        # The first picture compiles shaders: not when a trial waits for it.
+        rest, away = body.rest_positions, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+        renderer.capture(SceneState(rest, away, away))
+        return renderer
 
     def _publish_info(self) -> None:
         info = CameraInfo(**self._camera.to_info())
