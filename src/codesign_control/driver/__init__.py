@@ -8,6 +8,7 @@ from codesign_control.driver.config import DriverConfig
 from codesign_control.driver.deadline_loop import (
     DeadlineLoop,
     Deviation,
+    lock_memory,
     prioritize,
     prioritize_process,
 )
@@ -29,6 +30,7 @@ __all__ = [
     "LinkError",
     "Measured",
     "XarmDriver",
+    "lock_memory",
     "prioritize",
     "prioritize_process",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
 import os
 import threading
@@ -100,6 +101,15 @@ def prioritize(thread: int, priority: int) -> bool:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
         return True
     return False
+
+
+def lock_memory() -> bool:
+    """Keeps this process's pages in memory, now and later; False where that is not permitted.
+
+    A page that has to come back from the disk stops whoever needs it for that long.
+    """
+    current_and_future = 1 | 2  # MCL_CURRENT, MCL_FUTURE of <sys/mman.h>
+    return ctypes.CDLL(None).mlockall(current_and_future) == 0
 
 
 def prioritize_process(priority: int) -> bool:

@@ -32,7 +32,7 @@ from codesign_control.driver.gripper import GripperReading, GripperThread
 from codesign_control.gripper import GripperModel
 
 VELOCITY_REPORTS = 6  # over which the measured velocity is the slope; 50 ms at 100 Hz
-HELPER_PRIORITY = 20  # SCHED_FIFO of the threads that the streaming one waits for
+HELPER_PRIORITY = 30  # SCHED_FIFO of the threads that the streaming one waits for
 LOOK_TIMEOUT = 0.1  # s, of a look at the error codes; the supervisor has more to do
 POLL_PERIOD = 0.5  # s between looks at error codes that no reply announced
 

@@ -35,7 +35,7 @@ from codesign_control.driver import prioritize_process
 PERIOD = 0.01  # s between two commands, as of cartesian_controller
 TOPICS = ("/joint_states", "/gripper_state", "/joint_command", "/gripper_command")
 START_TIMEOUT = 30.0  # s until the driver streams
-SETTLE = 2.0  # s of streaming before it counts
+SETTLE = 10.0  # s of streaming before it counts: the nodes beside it have started by then
 AMPLITUDE, SPEED = 0.1, 1.0  # rad, rad/s
 
 
@@ -181,7 +181,7 @@ def main() -> None:
     options = parser.parse_args()
     if not options.address.startswith("127."):
         parser.error(f"--address {options.address}: the arm would move; only 127.x.y.z")
-    prioritize_process(10)  # the commands are to come in time: they are not what is measured
+    prioritize_process(20)  # the commands are to come in time: they are not what is measured
     try:
         result = measure(options)
     except TimeoutError as error:

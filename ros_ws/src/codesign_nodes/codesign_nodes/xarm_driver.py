@@ -28,13 +28,16 @@ from codesign_control.driver import (
     LinkError,
     Measured,
     XarmDriver,
+    lock_memory,
     prioritize_process,
 )
 from codesign_nodes import messages, qos
 from codesign_nodes.mounted import mounted
 from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, nanoseconds, run, stamp_of
 
-PROCESS_PRIORITY = 10  # SCHED_FIFO of the rest of the process, when realtime
+# SCHED_FIFO of the rest of the process, when realtime. Above the 10 that bring-up gives to others:
+# equal ones do not take turns, and one of them that starts up would keep the interpreter's lock.
+PROCESS_PRIORITY = 20
 SWITCH_INTERVAL = 1e-4  # s after which a thread gives up the interpreter to the streaming one
 NAMES = [f"joint{k}" for k in range(1, 8)]
 
@@ -64,9 +67,10 @@ class XarmDriverNode(LeanNode):
         if config.realtime:
             sys.setswitchinterval(SWITCH_INTERVAL)
             self._process_fifo = prioritize_process(PROCESS_PRIORITY)
+            self._memory_locked = lock_memory()
         else:
             sys.setswitchinterval(0.0005)
-            self._process_fifo = False
+            self._process_fifo = self._memory_locked = False
         self._joint_pub = self.create_publisher(JointState, "/joint_states", qos.STATE_OFFERED)
         self._gripper_pub = self.create_publisher(GripperState, "/gripper_state", qos.STATE_OFFERED)
         self._driver = XarmDriver(config, self._publish_joints, self._publish_gripper)
@@ -319,6 +323,7 @@ class XarmDriverNode(LeanNode):
             "deviation_max_ms": round(status.deviation.max, 3),
             "sched_fifo": status.fifo,
             "process_fifo": self._process_fifo,
+            "memory_locked": self._memory_locked,
             "clock_jumps": self._clocks.jumps,
             "gripper_commands": status.gripper_commands,
             "gripper_port": 503 if status.own_gripper_port else 502,
