@@ -1,7 +1,8 @@
 """Node tofu_pose_estimator: /object_pose from the camera's pictures.
 
 Each picture is answered in its own callback, stamped with the picture's stamp; where the block is
-not found with certainty nothing is published, and /diagnostics says why. A picture that comes a
+not found with certainty no pose is published but the picture's stamp on /object_pose/rejected, and
+/diagnostics says why. A picture that comes a
 second time is answered a second time, as in lockstep something may have been lost.
 """
 
@@ -17,13 +18,14 @@ from codesign_interfaces.msg import GripperState
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from codesign_nodes import messages, qos
 from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, nanoseconds, run
 from codesign_perception.board import CharucoBoard
 from codesign_perception.calibration import CalibrationError, calibrate_extrinsics, flat_pose
-from codesign_perception.camera import Camera
+from codesign_perception.camera import FRAME, Camera
 from codesign_perception.camera_file import CameraFile, Record, load_camera
 from codesign_perception.config import EstimatorConfig
 from codesign_perception.debug_picture import debug_picture
@@ -129,6 +131,9 @@ class TofuPoseEstimatorNode(LeanNode):
 
     def _make_interfaces(self) -> None:
         self._pose_pub = self.create_publisher(PoseStamped, "/object_pose", qos.POSE_OFFERED)
+        self._rejected_pub = self.create_publisher(
+            Header, "/object_pose/rejected", qos.STATE_OFFERED
+        )
         self._covariance_pub = self.create_publisher(
             PoseWithCovarianceStamped, "~/pose_with_covariance", qos.STATE_OFFERED
         )
@@ -216,6 +221,8 @@ class TofuPoseEstimatorNode(LeanNode):
         pose = detection.pose
         if pose is None:
             self._counts["without_block"] += 1
+            # In lockstep the policy need not wait any longer for a pose of that moment.
+            self._rejected_pub.publish(Header(stamp=stamp, frame_id=FRAME))
             return
         self._counts["poses"] += 1
         message = PoseStamped(pose=messages.pose(pose.position, pose.quaternion))
@@ -240,7 +247,7 @@ class TofuPoseEstimatorNode(LeanNode):
         picture = debug_picture(self._image, detection)
         message.data.frombytes(encode(picture, self._debug_quality))
         message.header.stamp = stamp
-        message.header.frame_id = "camera_color_optical_frame"
+        message.header.frame_id = FRAME
         self._debug_pub.publish(message)
 
     # --- calibration
