@@ -6,7 +6,9 @@ the policy was made of, so the bag alone is enough.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,7 +111,7 @@ def _replay(path: Path, messages: Messages) -> Replay:
                 break
             actions += 1
             was = _vector(message)
-            now = _action_vector(policy.act(recorded.observation(message, design)))
+            policy, now = _answer(policy, recorded.observations(message, design), was)
             if was.tobytes() == now.tobytes():
                 equal += 1
                 continue
@@ -117,6 +119,23 @@ def _replay(path: Path, messages: Messages) -> Replay:
             first = first or _difference(message, was, now)
     unknown = len(messages["/action"]) - actions
     return Replay(tuple(policies), actions, unknown, equal, largest, first)
+
+
+def _answer(policy: Policy, seen: list[Observation], was: Array) -> tuple[Policy, Array]:
+    """The policy after its action, and that action.
+
+    Where several messages with one stamp differ, any of them may have been the one that was seen:
+    the first that gives the recorded action counts.
+    """
+    if len(seen) == 1:
+        return policy, _action_vector(policy.act(seen[0]))
+    answers = []
+    for observation in seen:
+        tried = deepcopy(policy)
+        answers.append((tried, _action_vector(tried.act(observation))))
+        if answers[-1][1].tobytes() == was.tobytes():
+            return answers[-1]
+    return answers[0]
 
 
 def _difference(message: Any, was: Array, now: Array) -> Difference:
@@ -193,33 +212,36 @@ class _Recorded:
             for topic, field in ANSWERED.items()
         )
 
-    def observation(self, action: Any, design: Array) -> Observation:
-        """What an action answers."""
-        block, tool, gripper = (
-            self._answered(action, topic, field) for topic, field in ANSWERED.items()
-        )
-        return Observation(
-            tcp_position=np.array(tool), object_position=np.array(block), width=gripper[0],
-            design=design,
-        )  # fmt: skip
+    def observations(self, action: Any, design: Array) -> list[Observation]:
+        """What an action answers: one, unless different messages bear the same stamp."""
+        said = [self._answered(action, topic, field) for topic, field in ANSWERED.items()]
+        return [
+            Observation(
+                tcp_position=np.array(tool),
+                object_position=np.array(block),
+                width=gripper[0],
+                design=design,
+            )
+            for block, tool, gripper in itertools.product(*said)
+        ]
 
-    def _answered(self, action: Any, topic: str, field: str) -> tuple[float, ...]:
+    def _answered(self, action: Any, topic: str, field: str) -> list[tuple[float, ...]]:
         time = nanoseconds(getattr(action, field))
-        said = self._seen[topic].get(time, set())
-        if len(said) == 1:
-            return next(iter(said))
-        what = f"{len(said)} different messages are" if said else "no message is"
-        raise BagError(
-            f"{self._path}: action {action.sequence} answers {topic} of {time * 1e-9:.3f} s, but "
-            f"{what} stamped so: what the policy saw is not known; record the whole trial"
-        )
+        said = self._seen[topic].get(time)
+        if said is None:
+            raise BagError(
+                f"{self._path}: action {action.sequence} answers {topic} of {time * 1e-9:.3f} s, "
+                "but no message is stamped so: what the policy saw is not known; record the whole "
+                "trial"
+            )
+        return list(said)
 
 
-def _by_stamp(messages: list[Any]) -> dict[int, set[tuple[float, ...]]]:
-    """What was said at each stamp; a repeated message counts once."""
-    said: dict[int, set[tuple[float, ...]]] = {}
+def _by_stamp(messages: list[Any]) -> dict[int, dict[tuple[float, ...], None]]:
+    """What was said at each stamp, in the order of recording; a repeated message counts once."""
+    said: dict[int, dict[tuple[float, ...], None]] = {}
     for message in messages:
-        said.setdefault(stamp(message), set()).add(_observed(message))
+        said.setdefault(stamp(message), {})[_observed(message)] = None
     return said
 
 
