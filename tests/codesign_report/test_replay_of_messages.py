@@ -115,7 +115,8 @@ def test_another_observation_or_setting_is_found(bag):
     assert not result.identical
     assert (result.first.sequence, result.first.component) == (1, "dx")
     bag["/object_pose"][0].pose.position.x -= 1e-6
-    bag["/policy/setup"][0].setting_values[0] += 1e-6
+    setup = bag["/policy/setup"][0]
+    setup.setting_values[setup.setting_names.index("open_width")] += 1e-6
     assert not replay(Path("bag")).identical
 
 
