@@ -2,7 +2,18 @@
 
 import typer
 
-from codesign_cli import bag, control, demo, design, graph, policy, report, reproduce, sim
+from codesign_cli import (
+    bag,
+    control,
+    demo,
+    design,
+    graph,
+    perception,
+    policy,
+    report,
+    reproduce,
+    sim,
+)
 
 app = typer.Typer(
     help="End-effector co-design: simulate, control, record and report fragile-object grasps.",
@@ -15,6 +26,7 @@ app.add_typer(bag.app, name="bag")
 app.add_typer(control.app, name="control")
 app.add_typer(design.app, name="design")
 app.add_typer(graph.app, name="graph")
+app.add_typer(perception.app, name="perception")
 app.add_typer(policy.app, name="policy")
 app.add_typer(reproduce.app, name="reproduce")
 app.add_typer(sim.app, name="sim")

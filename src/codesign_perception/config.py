@@ -25,9 +25,10 @@ class EstimatorConfig:
         spacing: of the measured points along the outline [px].
         max_residual: distance from the fitted outline at which a point no longer agrees [px].
         min_score: share of the outline that must agree with the picture.
-        max_rms: of the points that agree, from the fitted outline [px].
+        max_rms: of the points that agree, from the fitted outline [px]; a half more while held.
         max_denied: share of the outline that may contradict the picture; what is merely hidden
             contradicts nothing.
+        max_held_denied: the same while fingers squeeze the block out of shape.
         rest_sigma: uncertainty of the table's height [m].
         size_sigma: of the edges of a block that is left alone: how exactly it was cut [m].
         size_tolerance: how far the edges of a block left alone may be from `size` [m].
@@ -50,6 +51,7 @@ class EstimatorConfig:
     max_residual: float = 1.5
     min_score: float = 0.5
     max_denied: float = 0.15
+    max_held_denied: float = 0.35
     max_rms: float = 0.8
     rest_sigma: float = 0.0001
     size_sigma: float = 0.0003

@@ -334,19 +334,20 @@ class TofuPoseEstimator:
                 f"only {fit.score:.0%} of the outline agrees with the picture, at least "
                 f"{config.min_score:.0%} must: block hidden, of another size, or camera moved"
             )
-        if fit.denied > config.max_denied:
+        held = fit.belief.name == "held"
+        most = config.max_held_denied if held else config.max_denied
+        if fit.denied > most:
             return (
-                f"{fit.denied:.0%} of the outline contradicts the picture, at most "
-                f"{config.max_denied:.0%} may: another thing, or another size"
+                f"{fit.denied:.0%} of the outline contradicts the picture, at most {most:.0%} may: "
+                "another thing, or another size"
             )
         if fit.edges < 3:
             return f"only {fit.edges} edges of the outline are visible, at least 3 must be"
-        if fit.rms > config.max_rms:
-            return f"outline is off by {fit.rms:.2f} px rms, at most {config.max_rms:.2f}"
+        blunt = config.max_rms * (1.5 if held else 1.0)
+        if fit.rms > blunt:
+            return f"outline is off by {fit.rms:.2f} px rms, at most {blunt:.2f}"
         deviation = fit.state[4:] - self._size
-        limit = config.size_tolerance
-        if fit.belief.name == "held":
-            limit = SIZE_LIMIT * config.held_size_sigma
+        limit = SIZE_LIMIT * config.held_size_sigma if held else config.size_tolerance
         if np.abs(deviation).max() > limit:
             edge = int(np.abs(deviation).argmax())
             return (

@@ -190,8 +190,9 @@ class RenderedCamera:
         self._camera = camera
         self.true_camera = _displaced(camera, self.effects)
 
-    def scatter_clutter(self, seed: int) -> None:
-        """Lay out the clutter anew."""
+    def scatter_clutter(self, seed: int, focus: tuple[float, float] | None = None) -> None:
+        """Lay out the clutter anew, around another place of the object if `focus` is given."""
+        self._focus = focus or self._focus
         random = np.random.default_rng([seed, 0xC1])
         for i, thing in enumerate(self._clutter):
             _throw(thing, random, i, self._camera, self._focus, self._table_height)
