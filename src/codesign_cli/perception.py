@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
     from codesign_perception.board import CharucoBoard, View
 
@@ -200,9 +201,7 @@ def estimate(
     from codesign_perception import EstimatorConfig, TofuPoseEstimator, load_camera
     from codesign_perception.debug_picture import debug_picture
 
-    picture = cv2.imread(str(image), cv2.IMREAD_COLOR)
-    if picture is None:
-        _fail(f"{image}: no picture that OpenCV can read")
+    picture = _read_picture(image)
     try:
         config = EstimatorConfig(size=size, sag=sag, table_height=table_height)
         detection = TofuPoseEstimator(load_camera(camera), config).estimate(picture)
@@ -262,17 +261,24 @@ def _board(columns: int, rows: int, square: float, marker: float) -> CharucoBoar
         raise typer.BadParameter(str(error)) from error
 
 
+def _read_picture(path: Path) -> NDArray[np.uint8]:
+    """(height, width, 3) BGR."""
+    import cv2
+    import numpy as np
+
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        _fail(f"{path}: no picture that OpenCV can read")
+    return np.asarray(picture, dtype=np.uint8)
+
+
 def _views(
     images: list[Path], made: CharucoBoard, lens: Any = None
 ) -> tuple[list[tuple[int, View]], tuple[int, int]]:
     """(number, view) of every picture that shows the board, and the common width and height."""
-    import cv2
-
     views, size = [], None if lens is None else (lens.width, lens.height)
     for i, path in enumerate(images):
-        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if picture is None:
-            _fail(f"{path}: no picture that OpenCV can read")
+        picture = _read_picture(path)
         here = (picture.shape[1], picture.shape[0])
         if size is not None and here != size:
             _fail(f"{path}: {here[0]} x {here[1]} px, expected {size[0]} x {size[1]}")
@@ -367,12 +373,12 @@ def _write_pdf(made: CharucoBoard, out: Path) -> None:
     figure.savefig(out, dpi=300)
 
 
-def _refuse(error: Exception) -> Any:
+def _refuse(error: Exception) -> NoReturn:
     typer.echo(f"refused: {error}", err=True)
     raise typer.Exit(1) from error
 
 
-def _fail(message: str) -> Any:
+def _fail(message: str) -> NoReturn:
     typer.echo(message, err=True)
     raise typer.Exit(2)
 

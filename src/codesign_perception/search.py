@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from codesign_perception.box import UndistortedImage, silhouette
+from codesign_perception.box import CORNERS, UndistortedImage, placed
 from codesign_perception.camera import Floats
 from codesign_perception.config import EstimatorConfig
 from codesign_perception.edges import Colors, Image
@@ -17,6 +17,7 @@ YAWS = np.arange(12) * np.pi / 12.0
 THRESHOLDS = (0.5, 0.35, 0.65)  # between table and the brightest there is
 LIFTS = (0.0, 0.05, 0.10, 0.15, 0.20)  # m above the table
 GOOD = 0.75  # overlap at which no further threshold is tried
+MAX_GUESSES = 4
 MAX_PATCHES = 12  # largest ones looked at, per threshold
 
 
@@ -50,7 +51,7 @@ def guesses(image: Image, plane: UndistortedImage, config: EstimatorConfig) -> l
                 found.append(guess)
         if found and max(g.overlap for g in found) > GOOD:
             break
-    return sorted(found, key=lambda g: -g.overlap)
+    return sorted(found, key=lambda g: -g.overlap)[:MAX_GUESSES]
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,8 @@ def _best_guess(
         for state, overlap in _turned(patch, plane, config, lift):
             if best is None or overlap > best[0]:
                 best = (overlap, state)
-        if best is not None and best[0] > 0.8:
-            break
+        if best is None or not 0.5 < best[0] < 0.8:
+            break  # found, or of another shape
     if best is None or best[0] < config.min_overlap:
         return None
     colors = _colors(small, mask, patch)
@@ -113,13 +114,11 @@ def _turned(
     x0, x1, y0, y1 = config.region
     if not (x0 <= place[0] <= x1 and y0 <= place[1] <= y1):
         return []
-    size = config.settled_size
-    outlines = [
-        silhouette(np.array([*place, yaw, *size]), plane)[1].astype(np.float32) for yaw in YAWS
-    ]
-    area = cv2.contourArea(outlines[0]) / step**2
-    if not 0.4 < patch.area / max(area, 1.0) < 2.5:
+    # Whatever its yaw, its area is within a third of this.
+    first = _outlines(place, config, plane, YAWS[1:2])[0]
+    if not 0.5 < patch.area * step**2 / max(cv2.contourArea(first), 1.0) < 1.6:
         return []
+    outlines = _outlines(place, config, plane, YAWS)
     # The silhouette's middle is not the picture of the box's: move it onto the patch.
     moments = [cv2.moments(loop) for loop in outlines]
     middles = np.array([[m["m10"], m["m01"]] for m in moments])
@@ -129,8 +128,18 @@ def _turned(
     found = []
     for loop, shift, moved, yaw in zip(outlines, shifts, places, YAWS, strict=True):
         corners = (plane.distorted(loop + shift) - step // 2) / step
-        found.append((np.array([*moved, yaw, *size]), _overlap(patch, corners)))
+        found.append((np.array([*moved, yaw, *config.settled_size]), _overlap(patch, corners)))
     return found
+
+
+def _outlines(
+    place: Floats, config: EstimatorConfig, plane: UndistortedImage, yaws: NDArray[np.floating]
+) -> list[NDArray[np.float32]]:
+    """Corners of the silhouettes of a block at one place and several yaws, each (N, 2) [px]."""
+    states = [np.array([*place, yaw, *config.settled_size]) for yaw in yaws]
+    points = np.concatenate([placed(state, CORNERS) for state in states])
+    pixels = plane.project(points)[0].astype(np.float32).reshape(len(yaws), len(CORNERS), 2)
+    return [np.asarray(cv2.convexHull(corners)[:, 0]) for corners in pixels]
 
 
 def _overlap(patch: _Patch, corners: Floats) -> float:
