@@ -11,6 +11,8 @@ import typer
 if TYPE_CHECKING:
     import numpy as np
 
+    from codesign_control.limit_check import LimitReport
+
 app = typer.Typer(help="xArm7 kinematics and Cartesian servo.", no_args_is_help=True)
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object instead of a table.")]
@@ -81,6 +83,50 @@ def bench(
         durations.append(perf_counter() - start)
     p50, p99, worst = (float(us) for us in np.percentile(durations, [50, 99, 100]) * 1e6)
     _print({"steps": steps, "p50_us": p50, "p99_us": p99, "max_us": worst}, as_json)
+
+
+@app.command()
+def adversarial(
+    actions: Annotated[int, typer.Option(min=1, help="Hostile actions to send.")] = 1_000_000,
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal results.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Send a servo the worst actions there are and check every set-point that comes out.
+
+    NaN, infinite and huge ones, floods, sawteeth, pushes towards singularities, joint limits, the
+    arm itself, the table and the corners of the workspace box. Exit code 1: a limit was violated.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from codesign_control import adversary
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("actions", total=actions)
+
+        def show(done: int, _: adversary.Outcome) -> None:
+            progress.update(task, completed=done)
+
+        outcome = adversary.run(actions, seed, progress=show)
+    assert outcome.limits is not None
+    if as_json:
+        typer.echo(json.dumps(outcome.to_dict()))
+    else:
+        _print_limits(outcome.limits)
+        _print(dict(outcome.counts), as_json=False)
+    raise typer.Exit(1 if outcome.limits.violations else 0)
+
+
+def _print_limits(report: LimitReport) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("limit", "must be", "worst", "unit", "violations")
+    for found in report.findings.values():
+        bound = f"{'>=' if found.at_least else '<='} {found.limit:g}"
+        table.add_row(found.name, bound, f"{found.worst:.6g}", found.unit, str(found.violations))
+    Console().print(f"{report.set_points} set-points, {report.violations} violations")
+    Console().print(table)
 
 
 def _read_poses(path: Path) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -126,4 +126,5 @@ def _along(link: str, centre: np.ndarray, axis: np.ndarray, half: float, radius:
         return radius_at(segment) ** 2 * (segment + 2.0 / 3.0 * radius_at(segment))
 
     best = minimize_scalar(volume, bounds=(0.0, half), method="bounded").x
+    best = best if best > 1e-4 else 0.0  # a sphere
     return Capsule(link, centre - best * axis, centre + best * axis, radius_at(best) + 1e-9)

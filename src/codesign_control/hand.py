@@ -10,6 +10,7 @@ from codesign_control.gripper import GripperModel
 TCP_FROM_FLANGE = 0.172  # m, along z: the gripper's TCP
 # Without a finger design: as large as the stock fingers, which are 32 x 7 x 46 mm.
 STOCK_BOX = np.array([[-0.016, 0.0, -0.0406], [0.016, 0.007, 0.0055]])  # m, grasp frame at gap 0
+SWEEP = 61  # gaps that stand for all of them
 
 
 class Hand:
@@ -40,9 +41,10 @@ class Hand:
 
     def swept_box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner (3,) [m] in `link_tcp` of all places where a finger can be."""
-        # While the gripper closes, the fingers only move inwards and forward.
-        ends = np.concatenate([self.corners(width) for width in self.width_range])
-        return ends.min(axis=0), ends.max(axis=0)
+        # Between the samples, 1.4 mm apart, the four-bar's arc rises by less than 5 um.
+        widths = np.linspace(*self.width_range, SWEEP)
+        places = np.concatenate([self.corners(width) for width in widths])
+        return places.min(axis=0) - 5e-6, places.max(axis=0) + 5e-6
 
 
 def _stock_boxes() -> FingerReach:
