@@ -37,6 +37,7 @@ class FakeArm:
         self.object = OBJECT
         self.joints: Any = HOME.copy()
         self.follows = True
+        self.stamp = lambda: probe.node.get_clock().now().to_msg()
         self._messages = messages
         self._kinds = (JointState, GripperState, PoseStamped)
         node = probe.node
@@ -65,7 +66,7 @@ class FakeArm:
             commands = self.probe.received["/joint_command"]
             if self.follows and commands:
                 self.joints = np.array(commands[-1][1].position)
-            stamp = self.probe.node.get_clock().now().to_msg()
+            stamp = self.stamp()
             joint_state, gripper_state, pose_stamped = self._kinds
             if self.sends_states:
                 joints = joint_state(name=[f"joint{k}" for k in range(1, 8)])
@@ -84,6 +85,12 @@ class FakeArm:
     def close(self) -> None:
         self._stop.set()
         self._thread.join()
+
+    def disappear(self) -> None:
+        """As a driver's process that ends: its publishers go, too."""
+        self.close()
+        for publisher in (self._joint_pub, self._gripper_pub, self._pose_pub, self._design_pub):
+            self.probe.node.destroy_publisher(publisher)
 
     # --- shorthand for the tests
 

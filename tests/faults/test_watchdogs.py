@@ -161,6 +161,7 @@ BAD_ACTIONS = {
     "gap NaN": {"width": math.nan},
     "gap too much": {"width": 0.05},
     "wrong frame": {"frame": "camera"},
+    "empty frame": {"frame": ""},
 }
 
 

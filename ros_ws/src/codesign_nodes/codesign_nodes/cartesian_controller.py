@@ -4,6 +4,9 @@ At real time a thread of its own steps the servo at absolute deadlines: the exec
 are no clock. With use_sim_time the joint state is the clock: each
 new stamp is answered with one set-point of the same stamp, and on the policy's grid the set-point
 waits for the action that answers that stamp, or for the policy's word that it has none.
+
+With dry_run everything is worked out and reported, no command leaves the node, and /tcp_pose tells
+where the hand would be.
 """
 
 import math
@@ -39,6 +42,8 @@ from codesign_control import (
     FingerReach,
     GoalState,
     GripperModel,
+    Hand,
+    Limit,
     MoveRejected,
     Pose,
     ServoConfig,
@@ -71,6 +76,7 @@ FRESH_STATE_TIMEOUT = 4.0  # s, wait of ~/enable for a joint state
 LONGEST_STOP = 100  # control periods
 MAX_CATCH_UP = 5  # control periods that a late timer makes up for
 GRID_TOLERANCE_NS = 100_000_000
+UNTRACKED = 100.0  # rad: with dry_run the arm does not follow, which is no fault
 MIN_GRIPPER_SPEED = 0.015  # m/s, slower ones the gripper does not accept
 
 
@@ -79,6 +85,9 @@ class CartesianController(LeanNode):
 
     def __init__(self) -> None:
         super().__init__("cartesian_controller")
+        self._dry_run = declare(
+            self, "dry_run", False, "work everything out, publish no joint or gripper command"
+        )
         self._config = self._declare_config()
         self._wait_limit = declare(
             self,
@@ -100,7 +109,6 @@ class CartesianController(LeanNode):
         self._measured_is_new = False
         self._observations = 0
         self._width = math.nan  # measured
-        self._width_target: float | None = None
         self._width_speed = 0.0
         self._last_action = ControlAction()
         self._rejected = 0
@@ -110,6 +118,7 @@ class CartesianController(LeanNode):
         self._fresh: Future | None = None
         self._goal_done: Future | None = None
         self._status_at = 0.0
+        self._limits = Limit.NONE  # since the last status
         # The control thread and the executor's callbacks share the servo.
         self._lock = threading.RLock()
         self._closing = threading.Event()
@@ -152,6 +161,16 @@ class CartesianController(LeanNode):
             ),
             box_lower=(d.box_lower[0], d.box_lower[1], table + d.box_lower[2]),
             box_upper=(d.box_upper[0], d.box_upper[1], table + d.box_upper[2]),
+            table_height=table,
+            self_collision_margin=declare(
+                self,
+                "self_collision_margin",
+                d.self_collision_margin,
+                "least distance of two links that could meet [m]",
+                low=0.001,
+                high=0.05,
+            ),
+            tracking_limit=UNTRACKED if self._dry_run else d.tracking_limit,
         )
 
     def _make_interfaces(self) -> None:
@@ -258,11 +277,13 @@ class CartesianController(LeanNode):
         output = self._servo.step(measured, self._now)
         changed = self._output is None or output.state != self._output.state
         self._output = output
+        self._limits |= output.limits
         if not self._lockstep:
             now = self.get_clock().now().nanoseconds
         stamp = stamp_of(now)
         if output.active:
-            gripper = self._gripper_command(stamp) if self._is_slow_tick(valid_at) else None
+            slow = self._is_slow_tick(valid_at)
+            gripper = self._gripper_command(output, stamp) if slow else None
             self._commands = (self._joint_command(output, stamp, stamp_of(valid_at)), gripper)
             self._publish_commands()
         if changed or time.monotonic() - self._status_at > STATUS_PERIOD:
@@ -282,8 +303,9 @@ class CartesianController(LeanNode):
         message.header.stamp = stamp
         return message
 
-    def _gripper_command(self, stamp: Any) -> GripperCommand:
-        message = GripperCommand(width=self._gap_target(), speed=self._width_speed)
+    def _gripper_command(self, output: ServoOutput, stamp: Any) -> GripperCommand:
+        width = self._gap_target() if output.gripper is None else output.gripper
+        message = GripperCommand(width=width, speed=self._width_speed)
         message.header.stamp = stamp
         return message
 
@@ -294,7 +316,7 @@ class CartesianController(LeanNode):
         return self._steps % round(POLICY_PERIOD / self._config.period) == 0
 
     def _publish_commands(self) -> None:
-        if self._commands is None:
+        if self._commands is None or self._dry_run:
             return
         joints, gripper = self._commands
         if gripper is not None:
@@ -303,9 +325,8 @@ class CartesianController(LeanNode):
 
     def _gap_target(self) -> float:
         """What the gripper is to do now: hold what it measures until something else is asked."""
-        if self._width_target is None:
-            self._width_target = self._width
-        return self._width_target
+        asked = self._servo.gripper_asked
+        return self._width if asked is None else asked
 
     # --- observations
 
@@ -339,6 +360,7 @@ class CartesianController(LeanNode):
         self._measured = np.array(self._joint_state.position[:7])
         self._measured_is_new = True
         self._width = self._gripper_state.width
+        self._servo.observe_gripper(self._width)
         self._observations += 1
         if self._pose_is_due() and np.isfinite(self._measured).all():
             self._publish_pose(self._joint_state.header.stamp)
@@ -352,7 +374,10 @@ class CartesianController(LeanNode):
         return self._observations % 2 == 0
 
     def _publish_pose(self, stamp: Any) -> None:
-        pose = grasp_pose(self._arm, self._gripper, self._measured, self._width)
+        joints, width = self._measured, self._width
+        if self._dry_run and self._output is not None and self._output.active:
+            joints, width = self._output.position, self._gap_target()
+        pose = grasp_pose(self._arm, self._gripper, joints, width)
         message = PoseStamped(pose=messages.pose(pose.position, pose.quaternion))
         message.header.stamp = stamp
         message.header.frame_id = "link_base"
@@ -381,9 +406,13 @@ class CartesianController(LeanNode):
 
     def _change_fingers(self) -> None:
         """Never in the middle of a trial: the grasp frame would jump."""
-        follows = self._servo.state in (ServoState.READY, ServoState.MOVING, ServoState.HALTED)
-        if self._next_fingers is not None and not follows:
-            (self._gripper, self._reach), self._next_fingers = self._next_fingers, None
+        if self._next_fingers is None:
+            return
+        try:
+            self._servo.set_hand(Hand(*self._next_fingers))
+        except MoveRejected:  # enabled or still braking: ~/enable tries again
+            return
+        (self._gripper, self._reach), self._next_fingers = self._next_fingers, None
 
     # --- lockstep
 
@@ -450,7 +479,7 @@ class CartesianController(LeanNode):
 
     def _submit(self, message: ControlAction) -> None:
         """Takes one action; ValueError when there is something wrong with it."""
-        if message.header.frame_id not in ("", "link_base"):
+        if message.header.frame_id != "link_base":
             raise ValueError(f"action in frame {message.header.frame_id!r}: must be link_base")
         if not (math.isfinite(message.width) and abs(message.width) <= MAX_WIDTH_CHANGE * 1.001):
             raise ValueError(
@@ -467,7 +496,7 @@ class CartesianController(LeanNode):
             )
         now = self._now if self._lockstep else time.monotonic()
         self._servo.submit(translation, rotation, now)
-        self._width_target = after
+        self._servo.ask_gripper(after)
         self._width_speed = max(abs(after - before) / POLICY_PERIOD, MIN_GRIPPER_SPEED)
         self._last_action = message
 
@@ -484,7 +513,7 @@ class CartesianController(LeanNode):
         lowest = min(self._reach.lowest(pose, after) for pose in (grasp, turning))
         sunk = self._table_height - lowest
         raised = translation.copy()
-        raised[2] += np.clip(sunk, 0.0, max(MAX_TRANSLATION - translation[2], 0.0))
+        raised[2] += np.clip(sunk, 0.0, max(MAX_TRANSLATION[2] - translation[2], 0.0))
         return raised
 
     def _reject(self, why: str) -> None:
@@ -508,13 +537,14 @@ class CartesianController(LeanNode):
             # Asked again, because the first answer was lost.
             response.success, response.message = True, "enabled already"
             return response
+        with self._lock:
+            self._change_fingers()
         if not await self._fresh_state():
             response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
             return response
         try:
             with self._lock:
                 self._servo.enable(self._measured, self._time())
-                self._width_target = None
                 self._policy_absent = False
                 # Lockstep: the tick that stood while disabled wants an answer now.
                 self._stepped = -1
@@ -598,7 +628,7 @@ class CartesianController(LeanNode):
             target = self._move_target(request)
             self._servo.move_to(target, self._time(), request.speed_scale or 0.3)
             if math.isfinite(request.width):
-                self._width_target = self._gripper.clip(request.width)
+                self._servo.ask_gripper(self._gripper.clip(request.width))
                 self._width_speed = 0.0
             self._goal_done = Future()
             return self._goal_done
@@ -619,7 +649,7 @@ class CartesianController(LeanNode):
     def _publish_status(self, stamp: Any) -> None:
         assert self._output is not None
         self._status_at = time.monotonic()
-        counters = self._output.counters
+        counters, near = self._output.counters, self._servo.proximity()
         message = ControllerStatus(
             state=int(self._output.state),
             message=self._output.message,
@@ -628,7 +658,15 @@ class CartesianController(LeanNode):
             halts=counters.halts,
             singularity_scale=self._output.singularity_scale,
             tracking_error=self._output.tracking_error,
+            limits=int(self._limits),
+            faults=counters.faults,
+            brakes=counters.brakes,
+            self_distance=near.self_distance,
+            nearest_links=" - ".join(near.links),
+            table_room=near.table_room,
+            dry_run=self._dry_run,
         )
+        self._limits = Limit.NONE
         message.header.stamp = stamp
         self._status_pub.publish(message)
 
@@ -639,12 +677,22 @@ class CartesianController(LeanNode):
             ServoState.HALTED: DiagnosticStatus.WARN,
             ServoState.FAULT: DiagnosticStatus.ERROR,
         }.get(self._output.state, DiagnosticStatus.OK)
+        with self._lock:
+            near = self._servo.proximity()
         counters = vars(self._output.counters) | {
             "steps_skipped": self._steps_skipped,
             "messages_rejected": self._rejected,
             "last_rejection": self._last_error,
+            "dry_run": self._dry_run,
+            "self_distance_m": round(near.self_distance, 4),
+            "nearest_links": " - ".join(near.links),
+            "table_room_m": round(near.table_room, 4),
+            "singularity_scale": round(self._output.singularity_scale, 3),
         }
-        return level, f"{self._output.state.name.lower()}: {self._output.message}", counters
+        # Control periods in which a limit slowed or stopped the motion.
+        counters |= {f"at_{name.lower()}": n for name, n in self._servo.limit_ticks.items()}
+        said = f"{self._output.state.name.lower()}: {self._output.message}"
+        return level, f"dry run, {said}" if self._dry_run else said, counters
 
 
 def main() -> None:
