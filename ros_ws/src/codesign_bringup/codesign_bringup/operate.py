@@ -25,7 +25,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 NO_ANSWER = 3
-PATIENCE = 10.0  # s, for a node to appear
+PATIENCE = 10.0  # s, for a node to appear, and for an arm to follow
 ASK_AGAIN = 5.0  # s; a reply is lost while the nodes still find each other
 LISTEN = 2.5  # s; every node reports once a second
 FOLLOWED = 0.02  # rad, an arm this close to its set-points follows them
@@ -50,6 +50,10 @@ class Operator(Node):
 
     def __init__(self) -> None:
         super().__init__("operate")
+        self._tracking_error = math.nan  # rad
+        self.create_subscription(
+            ControllerStatus, "/cartesian_controller/status", self._hear_controller, 1
+        )
 
     def enable(self, node: str, on: bool = True) -> str:
         """Enables or disables a node; its words."""
@@ -86,18 +90,19 @@ class Operator(Node):
 
     def _require_followed(self) -> None:
         """Raises Refused when the arm is not where the set-points went, as a disabled one."""
-        errors: list[float] = []
-        topic = "/cartesian_controller/status"
-        self.create_subscription(
-            ControllerStatus, topic, lambda m: errors.append(m.tracking_error), 1
-        )
-        until = time.monotonic() + LISTEN
+        until = time.monotonic() + PATIENCE
+        self._tracking_error = math.nan  # what was said before the arrival does not count
         while time.monotonic() < until:
             rclpy.spin_once(self, timeout_sec=0.1)
-            if errors and errors[-1] < FOLLOWED:
+            if self._tracking_error < FOLLOWED:
                 return
-        away = f"{errors[-1]:.3f} rad away" if errors else "who knows where"
-        raise Refused(f"the arm did not follow, it is {away}: `operate enable` first")
+        raise Refused(
+            f"the arm did not follow, it is {self._tracking_error:.3f} rad away: is the driver "
+            "enabled? `operate status` says, `operate enable` does it"
+        )
+
+    def _hear_controller(self, message: ControllerStatus) -> None:
+        self._tracking_error = message.tracking_error
 
     def health(self) -> dict[str, DiagnosticStatus]:
         """The newest status of every node that reports within some seconds."""
