@@ -107,8 +107,9 @@ def motion(start: FingerTargets, end: FingerTargets) -> np.ndarray:
     last = np.where(backwards, -end.quaternion, end.quaternion)
     # Below a thousandth the weights of the quaternions no longer depend on the angle.
     half = np.maximum(turn_angle(start.quaternion, end.quaternion) / 2, 1e-3)
-    columns = [
-        *(start.position, end.position - start.position, start.quaternion, last),
-        *(start.width, end.width - start.width, half, 1 / np.sin(half)),
-    ]
-    return np.column_stack(columns)
+    values = np.empty((len(start), 18))
+    values[:, 0:3], values[:, 3:6] = start.position, end.position - start.position
+    values[:, 6:10], values[:, 10:14] = start.quaternion, last
+    values[:, 14], values[:, 15] = start.width, end.width - start.width
+    values[:, 16], values[:, 17] = half, 1 / np.sin(half)
+    return values

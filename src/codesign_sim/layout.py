@@ -45,6 +45,7 @@ class Layout:
             self.nodes < 0, len(block.nodes) + np.arange(copies), self.nodes
         )
         self.rows = int(self._node_order.max()) + 1
+        self._views: dict[int, np.ndarray] = {}
 
     def describe_block(self, scene: Any) -> None:
         """Puts sizes, topology and rest shape of the block into a scene."""
@@ -53,10 +54,9 @@ class Layout:
         scene.groups, scene.node_rows = self.groups, self.rows
         scene.tet_items, scene.triangle_items = len(self.tets), len(self.triangles)
         scene.node_items = len(self.nodes)
-        shapes = _items(
-            np.column_stack([block.inverse_edges.reshape(-1, 9), block.volumes]), self.tets
-        )
-        shapes[:, 9][self.tets < 0] = 0  # a repeated tetrahedron fills the vector with no volume
+        triangular = _triangular(block.inverse_edges)
+        shapes = _items(np.column_stack([triangular, block.volumes]), self.tets)
+        shapes[:, 6][self.tets < 0] = 0  # a repeated tetrahedron fills the vector with no volume
         scene.tet_nodes = self.ints(_items(block.tetrahedra, self.tets))
         scene.tet_shapes = self.floats(shapes)
         scene.triangle_nodes = self.ints(_items(block.surface_triangles, self.triangles))
@@ -135,18 +135,33 @@ class Layout:
         kind = np.int32 if values.dtype.kind == "i" else np.float32
         return np.ascontiguousarray(np.moveaxis(values, 1, -1), dtype=kind).ravel()
 
+    def host(self, array: wp.array) -> np.ndarray:
+        """Values of an array that lives as long as this: on the CPU a view, from CUDA a copy."""
+        if self.device.is_cuda:
+            return array.numpy()
+        if array.ptr not in self._views:
+            self._views[array.ptr] = array.numpy()
+        return self._views[array.ptr]
+
+    def write(self, array: wp.array, values: np.ndarray) -> None:
+        """Writes all values, flat, of an array that lives as long as this."""
+        if self.device.is_cuda:
+            array.assign(values)
+        else:
+            self.host(array)[:] = values
+
     def ungrouped(self, array: wp.array, *shape: int) -> np.ndarray:
         """[group][shape][lane] back to (E, *shape), as a copy in double precision."""
-        values = array.numpy().reshape(self.groups, *shape, self.lanes)
-        values = np.moveaxis(values, -1, 1).reshape(-1, *shape)
-        return values[: self.environments].astype(np.float64)
+        values = self.host(array).reshape(self.groups, *shape, self.lanes)
+        values = np.moveaxis(values, -1, 1).astype(np.float64, order="C").reshape(-1, *shape)
+        return values[: self.environments]
 
     def overwrite(self, array: wp.array, environments: np.ndarray, values: np.ndarray) -> None:
         """Writes (K, ...) values of K environments; every other one keeps its bits.
 
         Spare lanes follow the last environment.
         """
-        host = array.numpy()
+        host = self.host(array)
         lane = np.arange(self.groups * self.lanes)
         source = np.minimum(lane, self.environments - 1)  # the environment that a lane shows
         row = np.full(self.environments, -1)
@@ -155,7 +170,8 @@ class Layout:
         flat = values.reshape(len(environments), -1)[row[source[lane]]]
         by_lane = host.reshape(self.groups, -1, self.lanes)
         by_lane[lane // self.lanes, :, lane % self.lanes] = flat
-        array.assign(host)
+        if self.device.is_cuda:
+            array.assign(host)
 
     def padded(self, values: np.ndarray) -> np.ndarray:
         """Node vectors (K, N, 3) as padded rows (K, rows, 4)."""
@@ -173,14 +189,23 @@ class Layout:
 
     def per_tetrahedron(self, array: wp.array, measure: int) -> np.ndarray:
         """Stresses [group][tet item][2][lane] of one measure as (E, T)."""
-        values = array.numpy().reshape(self.groups, len(self.tets), 2, self.width)[:, :, measure]
+        values = self.host(array).reshape(self.groups, len(self.tets), 2, self.width)[:, :, measure]
         if self.lanes == 1:
             result = np.empty((self.groups, len(self.block.tetrahedra)))
             used = self.tets >= 0
             result[:, self.tets[used]] = values[:, used]
         else:
-            result = np.moveaxis(values, -1, 1).reshape(-1, len(self.tets))
-        return result[: self.environments].astype(np.float64)
+            by_lane = np.moveaxis(values, -1, 1).astype(np.float64, order="C")
+            result = by_lane.reshape(-1, len(self.tets))
+        return result[: self.environments]
+
+
+def _triangular(inverse_edges: np.ndarray) -> np.ndarray:
+    """Rest shapes (T, 6) as native/elements.h has them, of inverse edge matrices (T, 3, 3)."""
+    edges = np.linalg.qr(np.linalg.inv(inverse_edges), mode="r")
+    signs = np.sign(np.diagonal(edges, axis1=1, axis2=2))  # a turn, not a mirror
+    rows, columns = np.triu_indices(3)
+    return -np.linalg.inv(signs[:, :, None] * edges)[:, rows, columns]
 
 
 def _packed(count: int, copies: int) -> np.ndarray:

@@ -382,7 +382,7 @@ class Simulator:
             settings["fraction"] = (first * dt + self.stiffness_damping) / duration
             settings["fraction_step"] = dt / duration
             values = [settings[name] for name in kernels.SETTINGS]
-            self._scene.settings.assign(np.array(values, dtype=np.float32))
+            self._layout.write(self._scene.settings, np.array(values, dtype=np.float32))
             self._launch(self._kernels.advance)
             totals += count * self._report()[:, :, :3]
         self._mean_forces = totals / substeps
@@ -428,7 +428,8 @@ class Simulator:
         return speed
 
     def _check_state(self) -> None:
-        sums = self._scene.positions.numpy().sum() + self._scene.velocities.numpy().sum()
+        host = self._layout.host
+        sums = host(self._scene.positions).sum() + host(self._scene.velocities).sum()
         if not np.isfinite(sums):
             self._broken = (
                 f"the block's state is not finite after {self.time:g} s; reset, and use a shorter "
@@ -548,7 +549,7 @@ class Simulator:
     def _write_motion(self, start: FingerTargets, end: FingerTargets) -> None:
         values = motion(start, end)
         values[:, :3] -= self._origin
-        self._scene.motions.assign(self._layout.grouped(values))
+        self._layout.write(self._scene.motions, self._layout.grouped(values))
 
     def _report(self) -> np.ndarray:
         """Force and depth (E, 3 obstacles, 4) of the last launch."""

@@ -45,11 +45,12 @@ def summarise(von_mises: np.ndarray, volumes: np.ndarray, measure: StressMeasure
     """Statistics of per-tetrahedron values (E, T) with rest volumes (T,)."""
     count = von_mises.shape[1]
     top = max(1, round(count / 10))
-    highest = np.partition(von_mises, count - top, axis=1)[:, count - top :]
+    middle = (count - 1) // 2, count // 2
+    ordered = np.partition(von_mises, sorted({*middle, count - top}), axis=1)
     return Stress(
         von_mises=von_mises,
-        top10_mean=highest.mean(axis=1),
+        top10_mean=ordered[:, count - top :].mean(axis=1),
         mean=von_mises @ (volumes / volumes.sum()),
-        median=np.median(von_mises, axis=1),
+        median=ordered[:, middle].mean(axis=1),
         measure=measure,
     )

@@ -47,3 +47,33 @@ def test_forces_of_large_deformations(stretch, noise):
     for found, positions in zip(sim.elastic_forces(), shape @ turn.T, strict=True):
         expected = expected_forces(SMALL, positions, material)
         assert np.abs(found - expected).max() < 3e-4 * np.abs(expected).max()
+
+
+def test_forces_do_not_depend_on_what_neighbours_need():
+    """Mild strains, which take the short way, beside neighbours as mild and inside out."""
+    rng = np.random.default_rng(1)
+    noise = 1e-3 * rng.standard_normal((8, *SMALL.nodes.shape))
+    sim = Simulator(SMALL, table_height=None, environments=8)
+    sim.reset()
+    found = []
+    for neighbours in (1.0, 6.0):
+        scale = np.array([1.0] + 7 * [neighbours])[:, None, None]
+        sim.set_state(SMALL.nodes + scale * noise, np.zeros_like(noise))
+        found.append(sim.elastic_forces())
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    for forces, scale in zip(found, (1.0, 6.0), strict=True):
+        expected = expected_forces(SMALL, SMALL.nodes + scale * noise[1], Material())
+        assert np.abs(forces[1] - expected).max() < 3e-4 * np.abs(expected).max()
+
+
+# Strains of some 10, 30 and 50 %: the short way, both ways, the long way.
+@pytest.mark.parametrize("noise", [4e-4, 1e-3, 2e-3])
+def test_forces_of_moderate_strains_are_right_to_single_precision(noise):
+    rng = np.random.default_rng(2)
+    shape = SMALL.nodes + noise * rng.standard_normal((8, *SMALL.nodes.shape))
+    sim = Simulator(SMALL, table_height=None, environments=8)
+    sim.reset()
+    sim.set_state(shape, np.zeros_like(shape))
+    for found, positions in zip(sim.elastic_forces(), shape, strict=True):
+        expected = expected_forces(SMALL, positions, Material())
+        assert np.abs(found - expected).max() < 3e-6 * np.abs(expected).max()

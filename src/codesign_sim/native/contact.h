@@ -87,11 +87,15 @@ CODESIGN_INLINE void place_fingers(
     pose[1].t = middle.t - opening;
 }
 
-// Depth below the surface (positive inside) and the outward unit normal.
+// Depth below the surface (positive inside) and the way out: the gradient of the distance.
 template <class F> struct Surface {
     F depth;
-    Vec3<F> normal;
+    Vec3<F> outward;
 };
+
+template <class F> CODESIGN_INLINE F deepest(const Surface<F> s[QUADRATURE]) {
+    return max(max(s[0].depth, s[1].depth), s[2].depth);
+}
 
 // The pool holds, for each grid point, its distance and that of its neighbour along y: so the four
 // corners of a cell's face are side by side.
@@ -116,10 +120,8 @@ template <int L> struct DistanceGrid {
         return grid.per_metre * (p - grid.origin);
     }
 
-    // Trilinear signed distance, as a depth, and its gradient, `u` cells from the grid's origin
-    // (in the grid).
+    // Trilinear signed distance `u` cells from the grid's origin (in the grid).
     CODESIGN_INLINE Surface<F> interpolate(const DistanceGrid& grid, Vec3<F> u) {
-        const F one = W::broadcast(1.0f), tiny = W::broadcast(1e-20f);
         const I ix = W::whole(u.x), iy = W::whole(u.y), iz = W::whole(u.z);
         const F tx = u.x - W::real(ix), ty = u.y - W::real(iy), tz = u.z - W::real(iz);
         const I at = grid.offset + 2 * (ix + grid.stride_y * iy + grid.stride_z * iz);
@@ -135,21 +137,32 @@ template <int L> struct DistanceGrid {
         const F sxh = slope[2] + ty * (slope[3] - slope[2]);
         const Vec3<F> n = { sx + tz * (sxh - sx),
             (mean[1] - mean[0]) + tz * ((mean[3] - mean[2]) - (mean[1] - mean[0])), high - low };
-        return { -(low + tz * (high - low)), (one / root(max(dot(n, n), tiny))) * n };
+        return { -(low + tz * (high - low)), n };
     }
 
-    // Outside the grid there is no contact.
-    CODESIGN_INLINE Surface<F> sample(const DistanceGrid& grid, Vec3<F> p) {
+    // Whether any of the points touches, and how. Outside the grid there is no contact. What the
+    // points wait for overlaps.
+    CODESIGN_INLINE bool sample(
+        const DistanceGrid& grid, const Vec3<F> p[QUADRATURE], Surface<F> s[QUADRATURE]) {
         const F zero = W::broadcast(0.0f);
-        const Vec3<F> u = cells(grid, p);
-        // Written so that a position that is not a number counts as outside, too.
-        const auto inside = (u.x >= 0.0f) & (u.y >= 0.0f) & (u.z >= 0.0f) & (u.x < grid.size.x)
-            & (u.y < grid.size.y) & (u.z < grid.size.z);
-        if (!any(inside))
-            return { zero - 1.0f, { zero, zero, zero } };
-        const Surface<F> s = interpolate(grid,
-            { inside ? u.x : zero, inside ? u.y : zero, inside ? u.z : zero });
-        return { inside ? s.depth : zero - 1.0f, s.normal };
+        Vec3<F> u[QUADRATURE];
+        decltype(zero < zero) inside[QUADRATURE];
+        for (int q = 0; q < QUADRATURE; ++q) {
+            u[q] = cells(grid, p[q]);
+            const Vec3<F> v = u[q];
+            // Written so that a position that is not a number counts as outside, too.
+            inside[q] = (min(v.x, min(v.y, v.z)) >= 0.0f) & (v.x < grid.size.x)
+                & (v.y < grid.size.y) & (v.z < grid.size.z);
+        }
+        if (!any(inside[0] | inside[1] | inside[2]))
+            return false;
+        for (int q = 0; q < QUADRATURE; ++q) {
+            s[q] = interpolate(grid,
+                { inside[q] ? u[q].x : zero, inside[q] ? u[q].y : zero,
+                    inside[q] ? u[q].z : zero });
+            s[q].depth = inside[q] ? s[q].depth : zero - 1.0f;
+        }
+        return any(deepest(s) > zero);
     }
 
     // Whether a point can get below the surface by travelling less than `margin`.
@@ -169,36 +182,46 @@ template <int L> struct DistanceGrid {
     }
 };
 
-// Force in N on a point at `p`, in the obstacle's frame: the penalty along the normal, and the
-// anchored tangential spring returned to the Coulomb cone. Updates the anchor.
+// Forces in N on points at `p`, in the obstacle's frame: the penalty along the normal, and the
+// anchored tangential spring returned to the Coulomb cone. Updates the anchors.
 template <int L>
-CODESIGN_INLINE Vec3<typename Lanes<L>::F> contact_force(Vec3<typename Lanes<L>::F> p,
-    Surface<typename Lanes<L>::F> surface, typename Lanes<L>::F stiffness,
-    typename Lanes<L>::F friction, float* anchor) {
+CODESIGN_INLINE void contact_forces(const Vec3<typename Lanes<L>::F> p[QUADRATURE],
+    const Surface<typename Lanes<L>::F> surfaces[QUADRATURE], typename Lanes<L>::F stiffness,
+    typename Lanes<L>::F friction, float* anchors, Vec3<typename Lanes<L>::F> forces[QUADRATURE]) {
     typedef Lanes<L> W;
     typedef typename W::F F;
     constexpr int V = W::width;
-    const F zero = W::broadcast(0.0f), one = W::broadcast(1.0f);
-    const auto touching = surface.depth > zero;
-    const auto stuck = touching & (W::load(anchor + 3 * V) > 0.5f);
-    // A new contact sticks where it is.
-    const Vec3<F> a = { stuck ? W::load(anchor) : p.x, stuck ? W::load(anchor + V) : p.y,
-        stuck ? W::load(anchor + 2 * V) : p.z };
-    const Vec3<F> stretch = p - a;
-    const Vec3<F> slip = stretch - dot(stretch, surface.normal) * surface.normal;
-    const F depth = touching ? surface.depth : zero;
-    const F length = root(dot(slip, slip));
-    const F limit = friction * depth;  // same stiffness along the surface as across it
-    const F kept = min(one, limit / max(length, zero + 1e-12f));
-    const Vec3<F> hold = kept * slip;
-    const Vec3<F> now = p - hold;
-    W::store(anchor, now.x);
-    W::store(anchor + V, now.y);
-    W::store(anchor + 2 * V, now.z);
-    W::store(anchor + 3 * V, touching ? one : zero);
-    const F push = stiffness * depth;
-    const F drag = touching ? zero - stiffness : zero;
-    return push * surface.normal + drag * hold;
+    const F zero = W::broadcast(0.0f), one = W::broadcast(1.0f), tiny = W::broadcast(1e-20f);
+    Vec3<F> normals[QUADRATURE];
+    for (int q = 0; q < QUADRATURE; ++q) {
+        const Vec3<F> n = surfaces[q].outward;
+        normals[q] = (one / root(max(dot(n, n), tiny))) * n;
+    }
+    for (int q = 0; q < QUADRATURE; ++q) {
+        float* anchor = anchors + q * ANCHOR * V;
+        const Vec3<F> at = p[q], normal = normals[q];
+        const auto touching = surfaces[q].depth > zero;
+        const auto stuck = touching & (W::load(anchor + 3 * V) > 0.5f);
+        // A new contact sticks where it is.
+        const Vec3<F> a = { stuck ? W::load(anchor) : at.x, stuck ? W::load(anchor + V) : at.y,
+            stuck ? W::load(anchor + 2 * V) : at.z };
+        const Vec3<F> stretch = at - a;
+        Vec3<F> hold = stretch - dot(stretch, normal) * normal;
+        const F depth = touching ? surfaces[q].depth : zero;
+        const F limit = friction * depth;  // same stiffness along the surface as across it
+        const F length2 = dot(hold, hold);
+        const auto slips = length2 > limit * limit;
+        if (any(slips))
+            hold = (slips ? limit / root(max(length2, tiny)) : one) * hold;
+        const Vec3<F> now = at - hold;
+        W::store(anchor, now.x);
+        W::store(anchor + V, now.y);
+        W::store(anchor + 2 * V, now.z);
+        W::store(anchor + 3 * V, touching ? one : zero);
+        const F push = stiffness * depth;
+        const F drag = touching ? zero - stiffness : zero;
+        forces[q] = push * normal + drag * hold;
+    }
 }
 
 // One obstacle for one group: a finger at its pose, or the table z = 0.
@@ -236,21 +259,27 @@ template <int L> struct Obstacle {
         return DistanceGrid<L>::reaches(o.grid, into(o.pose, p), margin);
     }
 
-    // Force on a point of the world, and how deep it is (negative outside).
-    CODESIGN_INLINE Vec3<F> push(const Obstacle& o, Vec3<F> p, F stiffness, F friction,
-        float* anchor, F& depth) {
+    // Forces on points of the world that are near the obstacle, and the depth of the deepest.
+    CODESIGN_INLINE F push(const Obstacle& o, const Vec3<F> p[QUADRATURE], F stiffness, F friction,
+        float* anchors, Vec3<F> forces[QUADRATURE]) {
         const F zero = W::broadcast(0.0f), one = W::broadcast(1.0f);
-        const Vec3<F> local = o.finger ? into(o.pose, p) : p;
-        Surface<F> s = { zero - p.z, { zero, zero, one } };
-        if (o.finger)
-            s = DistanceGrid<L>::sample(o.grid, local);
-        depth = s.depth;
-        if (any(s.depth > zero)) {
-            const Vec3<F> force = contact_force<L>(local, s, stiffness, friction, anchor);
-            return o.finger ? turn(o.pose, force) : force;
+        Vec3<F> at[QUADRATURE];
+        Surface<F> s[QUADRATURE];
+        for (int q = 0; q < QUADRATURE; ++q) {
+            at[q] = o.finger ? into(o.pose, p[q]) : p[q];
+            s[q] = { zero - at[q].z, { zero, zero, one } };
         }
-        W::store(anchor + 3 * W::width, zero);
-        return { zero, zero, zero };
+        if (o.finger ? DistanceGrid<L>::sample(o.grid, at, s) : any(deepest(s) > zero)) {
+            contact_forces<L>(at, s, stiffness, friction, anchors, forces);
+            for (int q = 0; q < QUADRATURE; ++q)
+                forces[q] = o.finger ? turn(o.pose, forces[q]) : forces[q];
+            return deepest(s);
+        }
+        for (int q = 0; q < QUADRATURE; ++q) {
+            W::store(anchors + (q * ANCHOR + 3) * W::width, zero);
+            forces[q] = { zero, zero, zero };
+        }
+        return zero;
     }
 };
 
@@ -318,17 +347,13 @@ CODESIGN_INLINE void give_contact_forces(const Scene& scene, int group, const fl
         for (int o = 0; o < OBSTACLES; ++o) {
             if (!(near[t] & (1 << o)))
                 continue;
-            float* anchor = Obstacle<L>::anchor(obstacles[o], t);
-            Vec3<F> sum = none;
-            for (int q = 0; q < QUADRATURE; ++q, anchor += ANCHOR * W::width) {
-                F depth;
-                const Vec3<F> f = Obstacle<L>::push(obstacles[o], triangle.points[q],
-                    per_area * triangle.area, friction, anchor, depth);
-                ledger.deepest[o] = max(ledger.deepest[o], triangle.area > zero ? depth : zero);
-                push[q] = push[q] + f;
-                sum = sum + f;
-            }
-            ledger.impulse[o] = ledger.impulse[o] + sum;
+            Vec3<F> more[QUADRATURE];
+            const F depth = Obstacle<L>::push(obstacles[o], triangle.points,
+                per_area * triangle.area, friction, Obstacle<L>::anchor(obstacles[o], t), more);
+            ledger.deepest[o] = max(ledger.deepest[o], triangle.area > zero ? depth : zero);
+            for (int q = 0; q < QUADRATURE; ++q)
+                push[q] = push[q] + more[q];
+            ledger.impulse[o] = ledger.impulse[o] + (more[0] + more[1] + more[2]);
         }
         const Vec3<F> even = sixth * (push[0] + push[1] + push[2]);
         float* corners = W::corners(forces.triangles, t, 3);

@@ -23,17 +23,19 @@ constexpr float NEARLY_FLAT = 0.02f;  // volume ratio that the true stress divid
 // The rotation below is safe while (s1 + s2)(s2 + s3)(s3 + s1) / (s1 + s2 + s3)^3, 0.3 at rest, is
 // above this, s being the principal stretches and the smallest one negative if mirrored.
 constexpr float NEARLY_DOUBLE = 0.005f;
-// Newton's step on the sum of the stretches, relative to it, that is taken for the last: it leaves
-// an error of its square.
+// Half the change of the slope over Newton's step on the sum of the stretches, relative to the
+// slope. A step of third order then leaves an error of about 1e-7.
+constexpr float SMALL_BEND = 5e-3f;
+// Newton's step, relative to that sum, that is taken for the last. It leaves an error of its square.
 constexpr float LAST_STEP = 2e-4f;
-constexpr int MORE_STEPS = 40;  // a stretch of 1,000 takes 25
+constexpr int MOST_STEPS = 42;  // a stretch of 1,000 takes 27
 constexpr int FLAT_STEPS = 24;
 
 // The rotation nearest to a flat or inverted F: Mueller et al. 2016, "A robust method to extract
 // the rotational part of deformations". Never a reflection, so an inverted element is pushed
 // back to its own side.
 template <class F> CODESIGN_INLINE Mat3<F> robust_rotation(const Mat3<F>& A) {
-    const F zero = A.a[0] * 0.0f, one = zero + 1.0f;
+    const F zero = F {}, one = zero + 1.0f;
     F w = one, x = zero, y = zero, z = zero;
     Mat3<F> R;
     for (int step = 0;; ++step) {
@@ -58,126 +60,146 @@ template <class F> CODESIGN_INLINE Mat3<F> robust_rotation(const Mat3<F>& A) {
     }
 }
 
+// scale F + turn R, written F (whole I + share F^T F) + cofactor cof F.
+template <class F> struct Blend {
+    F whole, share, cofactor;
+};
+
 // The polar decomposition F = R S by invariants of the stretch S: its trace i, second invariant
 // ii and determinant J solve i^2 = |F|^2 + 2 ii and ii^2 = |cof F|^2 + 2 J i, and the derivative of
 // the trace by F is R = (F ((ii + |F|^2) I - F^T F) + i cof F) / (i ii - J).
 // Whatever error i has, R F^T is symmetric, so that no torque is left. Mirrored elements (J < 0)
 // get the nearest rotation, too. No memory of the last step is needed.
 template <class F> struct Polar {
-    Mat3<F> cofactor;
+    F xx, yy, zz, xy, yz, zx;  // F^T F
     F determinant, squares, minors;  // J, |F|^2, |cof F|^2
-    F trace, second, divisor;  // i, ii, i ii - J
 
     CODESIGN_INLINE Polar of(const Mat3<F>& A) {
-        const Vec3<F> p = row(A, 0), q = row(A, 1), r = row(A, 2);
-        const Vec3<F> qr = cross(q, r), rp = cross(r, p), pq = cross(p, q);
+        const Vec3<F> x = column(A, 0), y = column(A, 1), z = column(A, 2);
         Polar s;
-        s.cofactor = from_rows(qr, rp, pq);
-        s.determinant = dot(p, qr);
-        s.squares = dot(p, p) + dot(q, q) + dot(r, r);
-        s.minors = dot(qr, qr) + dot(rp, rp) + dot(pq, pq);
+        s.determinant = dot(row(A, 0), cross(row(A, 1), row(A, 2)));
+        s.xx = dot(x, x), s.yy = dot(y, y), s.zz = dot(z, z);
+        s.xy = dot(x, y), s.yz = dot(y, z), s.zx = dot(z, x);
+        s.squares = s.xx + s.yy + s.zz;
+        s.minors = (s.xx * s.yy - s.xy * s.xy) + (s.yy * s.zz - s.yz * s.yz)
+            + (s.zz * s.xx - s.zx * s.zx);
         return s;
     }
 
-    // Solves for the trace of `count` elements together, whose chains of divisions overlap. From
-    // above the largest root, (3 + |F|^2) / 2 >= sqrt(3) |F| >= i, Newton's iteration does not
-    // overshoot it. Two steps do for strains of 10 %; a lane that is done then stays as it is, so
-    // that it does not depend on its neighbours.
-    template <int COUNT> CODESIGN_INLINE void solve(Polar s[COUNT]) {
-        F down[COUNT];
+    // scale F + (slope (i - 3) + turn) R. Where F has no rotation that is safe to compute so, A
+    // becomes the answer and the blend leaves it as it is.
+    //
+    // One step of third order from 1 + sqrt(2 J + |F|^2 - 1), which is right to second order in the
+    // strain, does for strains of 30 %. It is accepted where Newton's step from there passes
+    // Kantorovich's criterion by far, and on the largest root, where ii and the derivative are
+    // positive.
+    //
+    // The chains of divisions of `COUNT` elements overlap, step by step.
+    template <int COUNT>
+    CODESIGN_INLINE void blend(const Polar s[COUNT], Mat3<F> A[COUNT], const F scale[COUNT],
+        const F slope[COUNT], const F turn[COUNT], Blend<F> out[COUNT]) {
+        F guess[COUNT], rise[COUNT], per_slope[COUNT], trace[COUNT], second[COUNT], divisor[COUNT];
+        decltype(guess[0] < guess[0]) done[COUNT];
         for (int k = 0; k < COUNT; ++k)
-            s[k].trace = 0.5f * s[k].squares + 1.5f;
+            guess[k] = root(max(2.0f * s[k].determinant + (s[k].squares - 1.0f), F {})) + 1.0f;
         for (int k = 0; k < COUNT; ++k)
-            s[k].trace = s[k].trace - excess(s[k]);
+            rise[k] = guess[k] * guess[k] - s[k].squares;
+        for (int k = 0; k < COUNT; ++k)
+            per_slope[k] = 1.0f / (rise[k] * guess[k] - 2.0f * s[k].determinant);
         for (int k = 0; k < COUNT; ++k) {
-            down[k] = excess(s[k]);
-            s[k].trace = s[k].trace - down[k];
+            const F value = 0.25f * rise[k] * rise[k] - s[k].minors
+                - 2.0f * s[k].determinant * guess[k];
+            const F newton = value * per_slope[k];
+            const F bend = (1.5f * rise[k] + s[k].squares) * per_slope[k] * newton;
+            trace[k] = guess[k] - (newton + newton * bend);
+            done[k] = max(bend, -bend) < SMALL_BEND;
         }
         for (int k = 0; k < COUNT; ++k) {
-            auto going = down[k] > LAST_STEP * s[k].trace;
-            for (int step = 0; step < MORE_STEPS && any(going); ++step) {
-                const F more = excess(s[k]);
-                s[k].trace = s[k].trace - (going ? more : more * 0.0f);
-                going = going & (more > LAST_STEP * s[k].trace);
-            }
-            complete(s[k]);
+            second[k] = second_of(s[k], trace[k]);
+            divisor[k] = trace[k] * second[k] - s[k].determinant;
+            done[k] = done[k] & (min(second[k], trace[k]) > F {})
+                & (divisor[k] > NEARLY_DOUBLE * trace[k] * s[k].squares);
         }
+        for (int k = 0; k < COUNT; ++k)
+            out[k] = mix(s[k], trace[k], second[k], divisor[k], scale[k],
+                slope[k] * (trace[k] - 3.0f) + turn[k]);
+        auto all = done[0];
+        for (int k = 1; k < COUNT; ++k)
+            all = all & done[k];
+        if (!every(all))
+            for (int k = 0; k < COUNT; ++k)
+                out[k] = blend_slowly(s[k], A[k], scale[k], slope[k], turn[k], out[k], done[k]);
     }
 
-    // How far Newton's step goes down from the trace.
-    CODESIGN_INLINE F excess(Polar& s) {
-        complete(s);
-        const F excess = s.second * s.second - s.minors - 2.0f * s.determinant * s.trace;
-        return 0.5f * excess / max(s.divisor, 1e-6f * s.squares * s.trace);
-    }
-
-    // What follows from the trace.
-    CODESIGN_INLINE void complete(Polar& s) {
-        s.second = 0.5f * (s.trace * s.trace - s.squares);
-        s.divisor = s.trace * s.second - s.determinant;
-    }
-
-    // scale F + turn R.
-    CODESIGN_INLINE Mat3<F> combine(const Polar& s, const Mat3<F>& A, F scale, F turn) {
-        const Vec3<F> x = column(A, 0), y = column(A, 1), z = column(A, 2);
-        const F share = turn / s.divisor;
-        const F whole = scale + share * (s.second + s.squares), cofactor = share * s.trace;
-        const F xx = whole - share * dot(x, x), xy = -share * dot(x, y);
-        const F yy = whole - share * dot(y, y), yz = -share * dot(y, z);
-        const F zz = whole - share * dot(z, z), zx = -share * dot(z, x);
+    // How to combine F^T F and cof F once the trace is known.
+    CODESIGN_INLINE Mat3<F> apply(const Polar& s, const Mat3<F>& A, const Blend<F>& b) {
+        const F xx = b.whole + b.share * s.xx, xy = b.share * s.xy;
+        const F yy = b.whole + b.share * s.yy, yz = b.share * s.yz;
+        const F zz = b.whole + b.share * s.zz, zx = b.share * s.zx;
         Mat3<F> M;
-        for (int i = 0; i < 9; i += 3) {
-            const F a = A.a[i], b = A.a[i + 1], c = A.a[i + 2];
-            M.a[i] = a * xx + b * xy + c * zx + cofactor * s.cofactor.a[i];
-            M.a[i + 1] = a * xy + b * yy + c * yz + cofactor * s.cofactor.a[i + 1];
-            M.a[i + 2] = a * zx + b * yz + c * zz + cofactor * s.cofactor.a[i + 2];
+        for (int i = 0; i < 3; ++i) {
+            const Vec3<F> a = row(A, i), normal = cross(row(A, (i + 1) % 3), row(A, (i + 2) % 3));
+            M.a[3 * i] = a.x * xx + a.y * xy + a.z * zx + b.cofactor * normal.x;
+            M.a[3 * i + 1] = a.x * xy + a.y * yy + a.z * yz + b.cofactor * normal.y;
+            M.a[3 * i + 2] = a.x * zx + a.y * yz + a.z * zz + b.cofactor * normal.z;
         }
         return M;
     }
-};
 
-// First Piola-Kirchhoff stress P = 2 mu (F - R) + lambda tr(R^T F - I) R, and the rotation R.
-template <class F> struct Elastic {
-    Mat3<F> piola, rotation;
+private:
+    CODESIGN_INLINE F second_of(const Polar& s, F trace) {
+        return 0.5f * (trace * trace - s.squares);
+    }
+    CODESIGN_INLINE Blend<F> mix(
+        const Polar& s, F trace, F second, F divisor, F scale, F turn) {
+        const F share = -turn / divisor;
+        return { scale - share * (second + s.squares), share, -share * trace };
+    }
 
-    template <bool WITH_ROTATION>
-    CODESIGN_INLINE Elastic of(const Mat3<F>& A, const Polar<F>& s, F mu, F lambda) {
-        const F zero = mu * 0.0f;
-        Elastic e;
-        const F turn = lambda * (s.trace - 3.0f) - 2.0f * mu;
-        e.piola = Polar<F>::combine(s, A, 2.0f * mu, turn);
-        if (WITH_ROTATION)
-            e.rotation = Polar<F>::combine(s, A, zero, zero + 1.0f);
-        const auto unsafe = s.divisor < NEARLY_DOUBLE * s.trace * s.squares;
-        if (any(unsafe)) {
-            const Mat3<F> R = robust_rotation(A);
-            F trace = zero - 3.0f;
-            for (int k = 0; k < 9; ++k)
-                trace = trace + R.a[k] * A.a[k];
-            for (int k = 0; k < 9; ++k) {
-                const F safe = 2.0f * mu * (A.a[k] - R.a[k]) + lambda * trace * R.a[k];
-                e.piola.a[k] = unsafe ? safe : e.piola.a[k];
-                if (WITH_ROTATION)
-                    e.rotation.a[k] = unsafe ? R.a[k] : e.rotation.a[k];
-            }
+    // The same for lanes that are not `done`: Newton's iteration from above the largest root,
+    // (3 + |F|^2) / 2 >= sqrt(3) |F| >= i, which does not overshoot it, or the robust rotation. Done
+    // lanes stay as they are, so that they do not depend on their neighbours.
+    template <class M>
+    CODESIGN_RARE Blend<F> blend_slowly(const Polar& s, Mat3<F>& A, F scale, F slope, F turn,
+        const Blend<F>& usual, M done) {
+        F trace = 0.5f * s.squares + 1.5f, second = second_of(s, trace);
+        F divisor = trace * second - s.determinant;
+        auto going = !done;
+        for (int step = 0; step < MOST_STEPS && any(going); ++step) {
+            const F excess = second * second - s.minors - 2.0f * s.determinant * trace;
+            const F down = 0.5f * excess / max(divisor, 1e-6f * s.squares * trace);
+            trace = going ? trace - down : trace;
+            going = going & (down > LAST_STEP * trace);
+            second = second_of(s, trace);
+            divisor = trace * second - s.determinant;
         }
-        return e;
+        const Blend<F> slow = mix(s, trace, second, divisor, scale, slope * (trace - 3.0f) + turn);
+        const auto safe = done | (divisor >= NEARLY_DOUBLE * trace * s.squares);
+        if (!every(safe)) {
+            const Mat3<F> R = robust_rotation(A);
+            F excess = F {} - 3.0f;
+            for (int k = 0; k < 9; ++k)
+                excess = excess + R.a[k] * A.a[k];
+            for (int k = 0; k < 9; ++k)
+                A.a[k] = safe ? A.a[k] : scale * A.a[k] + (slope * excess + turn) * R.a[k];
+        }
+        const F zero = F {}, one = zero + 1.0f;
+        return { done ? usual.whole : safe ? slow.whole : one,
+            done ? usual.share : safe ? slow.share : zero,
+            done ? usual.cofactor : safe ? slow.cofactor : zero };
     }
 };
 
-// Rest shape of a tetrahedron: [10][copies]: inverse rest edge matrix (row major), rest volume.
-constexpr int SHAPE = 10;
+// Rest shape of a tetrahedron: [7][copies]: B00, B01, B02, B11, B12, B22 of the inverse B of the rest
+// edges [X0-X1, X0-X2, X0-X3], and the rest volume. The rest frame of every tetrahedron is turned so
+// that B is upper triangular, which neither forces nor von Mises stresses notice.
+constexpr int SHAPE = 7;
 
-// Deformation gradient F = [x1-x0, x2-x0, x3-x0] B.
+// Deformation gradient F = [x0-x1, x0-x2, x0-x3] B.
 template <class F> CODESIGN_INLINE Mat3<F> deformation(const Vec3<F> x[4], const F* B) {
-    const Vec3<F> e1 = x[1] - x[0], e2 = x[2] - x[0], e3 = x[3] - x[0];
-    Mat3<F> A;
-    for (int j = 0; j < 3; ++j) {
-        A.a[j] = e1.x * B[j] + e2.x * B[3 + j] + e3.x * B[6 + j];
-        A.a[3 + j] = e1.y * B[j] + e2.y * B[3 + j] + e3.y * B[6 + j];
-        A.a[6 + j] = e1.z * B[j] + e2.z * B[3 + j] + e3.z * B[6 + j];
-    }
-    return A;
+    const Vec3<F> e1 = x[0] - x[1], e2 = x[0] - x[2], e3 = x[0] - x[3];
+    const Vec3<F> p = B[0] * e1, q = B[1] * e1 + B[3] * e2, r = B[2] * e1 + B[4] * e2 + B[5] * e3;
+    return { { p.x, q.x, r.x, p.y, q.y, r.y, p.z, q.z, r.z } };
 }
 
 // One vector of tetrahedra at node positions x.
@@ -185,27 +207,31 @@ template <int L> struct Element {
     typedef Lanes<L> W;
     typedef typename W::F F;
     const int* node;  // four times W::copies
-    F B[9], volume;
-    Mat3<F> A;  // deformation gradient
+    const float* shape;
 
     template <class Scene>
-    CODESIGN_INLINE Element load(const Scene& scene, int t, const float* x) {
+    CODESIGN_INLINE Element load(const Scene& scene, int t, const float* x, Mat3<F>& A) {
         constexpr int C = W::copies;
-        const float* shape = W::constants(scene.tet_shapes.data, t, SHAPE);
         Element e;
+        e.shape = W::constants(scene.tet_shapes.data, t, SHAPE);
         e.node = W::constants(scene.tet_nodes.data, t, 4);
         Vec3<F> corner[4];
         for (int c = 0; c < 4; ++c)
             corner[c] = Nodes<L>::load(x, e.node + c * C);
-        for (int k = 0; k < 9; ++k)
-            e.B[k] = W::item(shape + k * C);
-        e.volume = W::item(shape + 9 * C);
-        e.A = deformation(corner, e.B);
+        F B[6];
+        inverse(e, B);
+        A = deformation(corner, B);
         return e;
     }
+    CODESIGN_INLINE void inverse(const Element& e, F B[6]) {
+        for (int k = 0; k < 6; ++k)
+            B[k] = W::item(e.shape + k * W::copies);
+    }
+    CODESIGN_INLINE F volume(const Element& e) { return W::item(e.shape + 6 * W::copies); }
 };
 
-// Gives every tetrahedron's forces to its corners.
+// Gives every tetrahedron's forces to its corners, from the first Piola-Kirchhoff stress
+// P = 2 mu (F - R) + lambda (tr S - 3) R.
 template <int L, class Scene>
 CODESIGN_INLINE void give_elastic_forces(
     const Scene& scene, int group, const float* x, const Forces& forces) {
@@ -214,30 +240,38 @@ CODESIGN_INLINE void give_elastic_forces(
     constexpr int C = W::copies, E = W::environments;
     const float* material = scene.materials.data + (size_t)group * 4 * E;
     const F mu = W::environment(material), lambda = W::environment(material + E);
-    constexpr int B = W::batch;
+    constexpr int BATCH = W::batch;
     const int count = W::count(scene.tet_items);
-    for (int first = W::first(); first < count; first += B * W::stride()) {
-        Element<L> elements[B];
-        Polar<F> polars[B];
-        for (int k = 0; k < B; ++k) {
+    for (int first = W::first(); first < count; first += BATCH * W::stride()) {
+        Element<L> elements[BATCH];
+        Mat3<F> A[BATCH];
+        Polar<F> polars[BATCH];
+        Blend<F> blends[BATCH];  // to V P
+        F scales[BATCH], slopes[BATCH], turns[BATCH];
+        for (int k = 0; k < BATCH; ++k) {
             const int t = min(first + k * W::stride(), count - 1);
-            elements[k] = Element<L>::load(scene, t, x);
-            polars[k] = Polar<F>::of(elements[k].A);
+            elements[k] = Element<L>::load(scene, t, x, A[k]);
+            polars[k] = Polar<F>::of(A[k]);
         }
-        Polar<F>::template solve<B>(polars);
-        for (int k = 0; k < B; ++k) {
+        for (int k = 0; k < BATCH; ++k) {
+            const F volume = Element<L>::volume(elements[k]);
+            scales[k] = 2.0f * mu * volume, slopes[k] = lambda * volume, turns[k] = -scales[k];
+        }
+        Polar<F>::template blend<BATCH>(polars, A, scales, slopes, turns, blends);
+        for (int k = 0; k < BATCH; ++k) {
             const int t = first + k * W::stride();
             if (t >= count)
                 break;
             const Element<L>& e = elements[k];
-            const Mat3<F> P = Elastic<F>::template of<false>(
-                e.A, polars[k], mu * e.volume, lambda * e.volume).piola;
-            Vec3<F> f[4];
-            for (int c = 0; c < 3; ++c) {  // f_{1..3} = - V P B^T, by columns
-                const Vec3<F> b = { e.B[3 * c], e.B[3 * c + 1], e.B[3 * c + 2] };
-                f[c + 1] = { -dot(row(P, 0), b), -dot(row(P, 1), b), -dot(row(P, 2), b) };
-            }
-            f[0] = W::broadcast(-1.0f) * (f[1] + f[2] + f[3]);
+            const Mat3<F> P = Polar<F>::apply(polars[k], A[k], blends[k]);
+            const Vec3<F> p = column(P, 0), q = column(P, 1), r = column(P, 2);
+            F B[6];
+            Element<L>::inverse(e, B);
+            Vec3<F> f[4];  // f_{1..3} = V P B^T, by columns
+            f[1] = B[0] * p + B[1] * q + B[2] * r;
+            f[2] = B[3] * q + B[4] * r;
+            f[3] = B[5] * r;
+            f[0] = -(f[1] + f[2] + f[3]);
             float* corners = W::corners(forces.tets, t, 4);
             for (int c = 0; c < 4; ++c)
                 Nodes<L>::give(forces, corners + c * 3 * C, e.node + c * C, f[c]);
@@ -262,11 +296,16 @@ template <int L, class Scene> CODESIGN_INLINE void stress(const Scene& scene, in
     const float* x = scene.positions.data + (size_t)group * scene.node_rows * ROW * E;
     float* all = scene.stresses.data + (size_t)group * scene.tet_items * 2 * W::width;
     for (int t = W::first(); t < W::count(scene.tet_items); t += W::stride()) {
-        const Mat3<F> A = Element<L>::load(scene, t, x).A;
-        Polar<F> polar = Polar<F>::of(A);
-        Polar<F>::template solve<1>(&polar);
-        const auto elastic = Elastic<F>::template of<true>(A, polar, mu, lambda);
-        const Mat3<F>&P = elastic.piola, &R = elastic.rotation;
+        Mat3<F> A;
+        Element<L>::load(scene, t, x, A);
+        const Polar<F> polar = Polar<F>::of(A);
+        const F zero = F {}, one = zero + 1.0f, scale = 2.0f * mu, back = -scale;
+        Mat3<F> for_stress = A, for_rotation = A;
+        Blend<F> stress, rotation;
+        Polar<F>::template blend<1>(&polar, &for_stress, &scale, &lambda, &back, &stress);
+        Polar<F>::template blend<1>(&polar, &for_rotation, &zero, &zero, &one, &rotation);
+        const Mat3<F> P = Polar<F>::apply(polar, for_stress, stress);
+        const Mat3<F> R = Polar<F>::apply(polar, for_rotation, rotation);
         const F volume = dot(row(A, 0), cross(row(A, 1), row(A, 2)));
         const F shrink = 1.0f / max(volume, W::broadcast(NEARLY_FLAT));
         Mat3<F> cauchy, corotated;

@@ -59,6 +59,7 @@ CODESIGN_INLINE void columns(const Float4 rows[8], Float8 out[4]) {
 
 template <class V> CODESIGN_INLINE V root(V a) { return __builtin_elementwise_sqrt(a); }
 template <class M> CODESIGN_INLINE bool any(M mask) { return __builtin_reduce_or(mask) != 0; }
+template <class M> CODESIGN_INLINE bool every(M mask) { return __builtin_reduce_and(mask) != 0; }
 
 template <int L> struct Lanes {
     static constexpr int width = L == 1 ? ITEM_LANES : L;  // floats in a vector
@@ -150,7 +151,7 @@ template <int L> struct Lanes {
         for (int k = 0; k < width; k += 8) {
             Float4 rows[8];
             for (int lane = 0; lane < 8; ++lane)
-                rows[lane] = *(const UnalignedFloat4*)(p + index[k + lane]);
+                rows[lane] = *(const UnalignedFloat4*)(p + (unsigned)index[k + lane]);
             columns(rows, part[k / 8]);
         }
         for (int k = 0; k < 4; ++k)

@@ -24,6 +24,8 @@ struct Forces {
 CODESIGN_INLINE float root(float a) { return sqrtf(a); }
 CODESIGN_INLINE bool any(bool mask) { return mask; }
 CODESIGN_INLINE bool any(int mask) { return mask != 0; }
+CODESIGN_INLINE bool every(bool mask) { return mask; }
+CODESIGN_INLINE bool every(int mask) { return mask != 0; }
 
 template <> struct Lanes<TEAM> {
     static constexpr int width = TEAM_LANES;
