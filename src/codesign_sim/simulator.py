@@ -30,7 +30,7 @@ from codesign_sim.stress import Stress, StressMeasure, summarise
 CONTACT_STIFFNESS = 9e6  # Pa of pressure per metre of penetration
 STIFFNESS_DAMPING = 2e-4  # s, beta: forces are evaluated at x + beta v
 MASS_DAMPING = 20.0  # 1/s, of the motion relative to the best rigid motion
-SAFETY = 0.8  # default time step, as a share of the stability limit
+SAFETY = 0.9  # default time step, as a share of the stability limit
 CELL_SHARE = 0.4  # of a cell, the farthest a node may move in a step
 CONTACT_SKIN = 1e-3  # m that points travel before what is near an obstacle is found anew
 FINGER_TRAVEL = 1e-3  # m per step, the cell of the fingers' distance grid
@@ -68,7 +68,7 @@ class Simulator:
         fingers: (left, right) surfaces, or one such pair per environment, or None for no fingers.
         environments: number of independent copies E, at least 1.
         device: "cpu", or "cuda" for an NVIDIA GPU ("cuda:1" for the second).
-        time_step: longest step in seconds; by default 0.8 of the stability limit, set at reset.
+        time_step: longest step in seconds; by default 0.9 of the stability limit, set at reset.
         table_height: z of the table in the world, metres; None for no table.
         gravity: (3,) m/s^2, world frame.
         stiffness_damping: beta in seconds; 0 for none.
