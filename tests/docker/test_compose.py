@@ -58,8 +58,8 @@ def declared_parameters(node: str) -> dict[str, Any]:
     for call in ast.walk(ast.parse(path.read_text())):
         if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "declare":
             name, default = call.args[1:3]
-            assert isinstance(name, ast.Constant)
-            found[name.value] = default.value if isinstance(default, ast.Constant) else None
+            if isinstance(name, ast.Constant):  # else one of many, whose names are worked out
+                found[name.value] = default.value if isinstance(default, ast.Constant) else None
     return found
 
 
