@@ -1,10 +1,12 @@
 """Faults around cartesian_controller: restarts, clocks, bad starts, wrong QoS; and the dry run."""
 
 import time
+from collections.abc import Callable
 from itertools import count
 from typing import Any
 
 import numpy as np
+import pytest
 
 from codesign_control import ServoConfig, Xarm7
 from codesign_control.limit_check import check_log
@@ -32,6 +34,29 @@ def stream(arm: FakeArm, count_: int, **translation: float) -> None:
         time.sleep(0.05)
 
 
+def start(graph: Any, probe: Any, *arguments: Any, **options: Any) -> None:
+    """The controller, up and answering; a busy machine takes its time for that."""
+    from std_srvs.srv import SetBool
+
+    graph.start("cartesian_controller", *arguments, **options)
+    client = probe.node.create_client(SetBool, "/cartesian_controller/enable")
+    probe.wait_for(client.service_is_ready, 90.0, "the controller is up")
+    probe.node.destroy_client(client)
+
+
+def undisturbed(arm: FakeArm, job: Callable[[], None]) -> None:
+    """Enables and does the job; anew where a busy machine starved the stand-in for the arm."""
+    from std_srvs.srv import Trigger
+
+    for _ in range(6):
+        if try_to_enable(arm).success:
+            job()
+            if arm.controller_state() != FAULT:
+                return
+        arm.probe.call("/cartesian_controller/reset_fault", Trigger, Trigger.Request())
+    pytest.fail("the controller is at fault again and again")
+
+
 def try_to_enable(arm: FakeArm) -> Any:
     from std_srvs.srv import SetBool
 
@@ -52,17 +77,15 @@ def test_a_driver_that_comes_back_is_matched_and_taken_from_where_it_is(
 ) -> None:
     from std_srvs.srv import Trigger
 
-    graph.start("cartesian_controller")
-    arm.enable()
-    stream(arm, 10, x=0.002)
+    start(graph, arm.probe)
+    undisturbed(arm, lambda: stream(arm, 10, x=0.002))
     arm.disappear()
     arm.probe.wait_for(lambda: arm.controller_state() == FAULT, 3.0, "a fault")
-    commands = len(arm.probe.received["/joint_command"])
+    arm.probe.received["/joint_command"].clear()
 
     again = FakeArm(arm.probe)
     try:
-        moved = Xarm7().home + 0.05  # somebody moved it meanwhile
-        again.follows, again.joints = False, moved
+        again.joints = moved = Xarm7().home + 0.05  # somebody moved it meanwhile
         back = now()
         answer = again.probe.call(
             "/cartesian_controller/reset_fault", Trigger, Trigger.Request(), 10.0
@@ -70,20 +93,16 @@ def test_a_driver_that_comes_back_is_matched_and_taken_from_where_it_is(
         assert answer.success, answer.message
         assert now() - back < 2.0  # matched: the reset waits for a fresh joint state
         time.sleep(0.3)
-        # Nothing moves before it is enabled explicitly.
-        later = [m for t, m in again.probe.received["/joint_command"][commands:] if t > back + 0.3]
-        assert not later
-        again.follows = True
-        enabled = now()
+        assert not again.commands_since(back)  # nothing before it is enabled explicitly
         again.enable()
-        again.probe.wait_for(lambda: again.commands_since(enabled), 3.0, "set-points")
-        np.testing.assert_allclose(again.commands_since(enabled)[0].position, moved, atol=1e-12)
+        commands = again.probe.wait_for(lambda: again.commands_since(back), 3.0, "set-points")
+        np.testing.assert_allclose(commands[0].position, moved, atol=1e-12)
     finally:
         again.disappear()
 
 
 def test_starts_outside_the_limits_are_refused_with_the_reason(arm: FakeArm, graph: Any) -> None:
-    graph.start("cartesian_controller")
+    start(graph, arm.probe)
     home = Xarm7().home
     arm.follows = False
     for joint, value, said in (
@@ -105,7 +124,7 @@ def test_starts_outside_the_limits_are_refused_with_the_reason(arm: FakeArm, gra
 def test_without_a_driver_enabling_answers_with_an_error_in_time(probe: Any, graph: Any) -> None:
     from std_srvs.srv import SetBool
 
-    graph.start("cartesian_controller")
+    start(graph, probe)
     asked = now()
     answer = probe.call(
         "/cartesian_controller/enable", SetBool, SetBool.Request(data=True), timeout=20.0
@@ -120,7 +139,7 @@ def test_a_publisher_with_the_wrong_qos_shows_in_the_diagnostics(probe: Any, gra
     from codesign_nodes import qos
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-    graph.start("cartesian_controller")
+    start(graph, probe)
     probe.node.create_publisher(ControlAction, "/action", qos.STATE)  # best effort
     probe.listen("/diagnostics", DiagnosticArray, 10)
 
@@ -142,14 +161,22 @@ def test_status_tells_the_limit_that_is_at_work(arm: FakeArm, graph: Any) -> Non
     from diagnostic_msgs.msg import DiagnosticArray
 
     arm.probe.listen("/diagnostics", DiagnosticArray, 10)
-    graph.start("cartesian_controller")
-    arm.enable()
-    stream(arm, 40, z=-0.007)  # 28 cm down from 25 cm
+    start(graph, arm.probe)
+    at_work = ControllerStatus.LIMIT_TABLE | ControllerStatus.LIMIT_BOX
+
+    def seen() -> bool:
+        return any(message.limits & at_work for _, message in arm.probe.received[STATUS])
+
+    def press_down() -> None:
+        """From 25 cm; what a busy machine halts goes on later."""
+        for _ in range(10):
+            stream(arm, 40, z=-0.007)
+            if seen() or arm.controller_state() == FAULT:
+                return
+
+    undisturbed(arm, press_down)
+    assert seen()
     status = arm.probe.latest(STATUS)
-    seen = 0
-    for _, message in arm.probe.received[STATUS]:
-        seen |= message.limits
-    assert seen & (ControllerStatus.LIMIT_TABLE | ControllerStatus.LIMIT_BOX)
     assert status.table_room < 0.02
     assert 0.01 <= status.self_distance < 0.2
     assert status.nearest_links
@@ -172,9 +199,8 @@ def test_dry_run_works_everything_out_and_commands_nothing(arm: FakeArm, graph: 
     from geometry_msgs.msg import PoseStamped
 
     arm.probe.listen("/tcp_pose", PoseStamped, qos.POSE_REQUESTED)
-    graph.start("cartesian_controller", {"dry_run": True})
-    arm.enable()
-    stream(arm, 20, z=-0.005)
+    start(graph, arm.probe, {"dry_run": True})
+    undisturbed(arm, lambda: stream(arm, 20, z=-0.005))
     arm.probe.wait_for(lambda: arm.controller_state() == HALTED, 3.0, "the watchdog works, too")
     status = arm.probe.latest(STATUS)
     assert status.dry_run
@@ -204,8 +230,8 @@ def test_without_clock_and_policy_the_watchdog_still_fires_and_jumps_do_not_move
     """Simulated time, nobody publishes /clock, the policy is dead; then the stamps jump."""
     clock = SimulatedClock()
     arm.stamp = clock
-    graph.start("cartesian_controller", {"lockstep_timeout": 0.3}, lockstep=True)
-    arm.enable()
+    start(graph, arm.probe, {"lockstep_timeout": 0.3}, lockstep=True)
+    undisturbed(arm, lambda: None)
     arm.probe.wait_for(lambda: arm.controller_state() == READY, 5.0, "ready")
     arm.action_pub.publish(action(1, x=0.003))
     arm.probe.wait_for(lambda: arm.controller_state() == MOVING, 5.0, "moving")
