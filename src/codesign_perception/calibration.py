@@ -20,6 +20,8 @@ from codesign_perception.camera import Camera, Floats
 MAX_ERROR = 0.7  # px, root mean square
 MAX_FOCAL_SIGMA = 0.005  # of the focal length
 FEWEST_LENS_VIEWS = 8
+LEAST_TILT = 15.0  # degrees between the board and the image plane
+FEWEST_TILTED = 3
 FEWEST_HAND_VIEWS = 6
 FEWEST_TURN = np.radians(20.0)  # between the most different postures of a hand-eye calibration
 
@@ -52,11 +54,12 @@ def calibrate_intrinsics(
         )
     points = [v.points.astype(np.float32) for v in views]
     pixels = [v.pixels.astype(np.float32) for v in views]
-    error, matrix, distortion, _, _, sigmas, _, per_view = cv2.calibrateCameraExtended(
+    error, matrix, distortion, turns, _, sigmas, _, per_view = cv2.calibrateCameraExtended(
         points, pixels, (width, height), np.eye(3), np.zeros(5)
     )
     worst = int(np.argmax(per_view))
     _check_error(error, max_error, f"picture {worst + 1} is worst: leave it out, or")
+    _check_tilts(turns)
     relative = float(sigmas.ravel()[0] / matrix[0, 0])
     if relative > MAX_FOCAL_SIGMA:
         raise CalibrationError(
@@ -189,6 +192,18 @@ def _board_in_camera(view: View, lens: Camera) -> Floats:
         view.points, view.pixels, lens.matrix, lens.distortion, turn, shift
     )
     return _matrix(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel())
+
+
+def _check_tilts(turns: Sequence[npt.ArrayLike]) -> None:
+    """Views that all face the board leave focal length and distance undecided."""
+    axes = [Rotation.from_rotvec(np.ravel(turn)).as_matrix()[:, 2] for turn in turns]
+    tilts = np.degrees(np.arccos(np.clip([abs(axis[2]) for axis in axes], 0.0, 1.0)))
+    tilted = int((tilts >= LEAST_TILT).sum())
+    if tilted < FEWEST_TILTED:
+        raise CalibrationError(
+            f"in {tilted} pictures the board is tilted by {LEAST_TILT:.0f} degrees or more, at "
+            f"least {FEWEST_TILTED} are needed: tilt it about both axes"
+        )
 
 
 def _check_turns(flange_poses: Sequence[Floats]) -> None:

@@ -18,6 +18,8 @@ class EstimatorConfig:
         poisson_ratio: how much the block widens while it sinks.
         table_height: z of the table in link_base [m].
         region: x min, x max, y min, y max where the block's centre may be [m].
+        allow_lifted: whether to tell the pose of a block off the table that no hand holds. It is
+            less certain, and a camera that was moved sees such blocks.
         max_lift: largest height of the block's underside above the table [m].
         reduction: every how many-th pixel the search looks at.
         min_contrast: brightness that the block must have above the table [grey levels].
@@ -43,6 +45,7 @@ class EstimatorConfig:
     poisson_ratio: float = 0.31
     table_height: float = 0.0
     region: tuple[float, float, float, float] = (0.20, 0.75, -0.40, 0.40)
+    allow_lifted: bool = False
     max_lift: float = 0.25
     reduction: int = 4
     min_contrast: float = 25.0

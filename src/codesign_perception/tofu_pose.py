@@ -358,12 +358,16 @@ class TofuPoseEstimator:
             return f"block at x {x:.3f}, y {y:.3f} m: outside the region {config.region}"
         if not -0.005 <= z - config.rest_height <= config.max_lift:
             return f"block at height {z:.3f} m: not between the table and {config.max_lift} m above"
+        if fit.belief.name == "lifted" and not config.allow_lifted:
+            return (
+                f"block seems to be {1e3 * (z - config.rest_height):.0f} mm above the table, but "
+                "no hand holds it: camera moved, or another size; or set allow_lifted"
+            )
         uncertain = float(np.sqrt(np.diag(fit.covariance)[:3].max()))
         if uncertain > config.max_sigma:
             return (
                 f"place of the {fit.belief.name} block is uncertain by {1e3 * uncertain:.1f} mm, "
-                f"at most {1e3 * config.max_sigma:.1f}: too little is visible, or it is off the "
-                "table and no hand says how high"
+                f"at most {1e3 * config.max_sigma:.1f}: too little is visible"
             )
         return ""
 

@@ -21,7 +21,7 @@ FACES = [
 
 def blank(camera: Camera, table: np.ndarray = TABLE) -> np.ndarray:
     """An empty table, (height, width, 3) floats."""
-    return np.broadcast_to(table, (camera.height, camera.width, 3)).copy()
+    return np.broadcast_to(table.astype(np.float32), (camera.height, camera.width, 3)).copy()
 
 
 def draw_polygon(image: np.ndarray, camera: Camera, loop: np.ndarray, color: np.ndarray) -> None:
@@ -43,9 +43,10 @@ def draw_polygon(image: np.ndarray, camera: Camera, loop: np.ndarray, color: np.
     cv2.fillPoly(fine, [loop_px], 255, shift=8)
     # fillPoly draws all pixels that the border touches: half of each is inside.
     cv2.polylines(fine, [loop_px], True, 128, shift=8)
-    cover = cv2.resize(fine, (int(width), int(height)), interpolation=cv2.INTER_AREA) / 255.0
+    cover = cv2.resize(fine, (int(width), int(height)), interpolation=cv2.INTER_AREA)
+    cover = cover.astype(np.float32) / 255.0
     part = image[low[1] : high[1], low[0] : high[0]]
-    part += cover[..., None] * (color - part)
+    part += cover[..., None] * (color.astype(np.float32) - part)
 
 
 def draw_box(
@@ -74,12 +75,12 @@ def finished(
     light: float = 1.0,
 ) -> np.ndarray:
     """Light, blur [px], noise [grey levels], rounded to 8 bits."""  # fmt: skip
-    image = image * light
+    image = image * np.float32(light)
     if blur:
         image = cv2.GaussianBlur(image, (0, 0), blur)
     if noise:
-        image = image + rng.normal(0.0, noise, image.shape)
-    return np.clip(np.round(image), 0, 255).astype(np.uint8)
+        image += np.float32(noise) * rng.standard_normal(image.shape, dtype=np.float32)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 def tofu_image(camera: Camera, pose: np.ndarray, **kwargs: float) -> np.ndarray:

@@ -109,7 +109,10 @@ class TofuPoseEstimatorNode(LeanNode):
             name: declare(self, name, getattr(c, name), text, low=low, high=high)
             for name, (text, low, high) in ranges.items()
         }
-        return EstimatorConfig(size=size, region=region, **values)
+        lifted = declare(
+            self, "allow_lifted", c.allow_lifted, "tell poses of a block that hovers without a hand"
+        )
+        return EstimatorConfig(size=size, region=region, allow_lifted=lifted, **values)
 
     def _declare_board(self) -> None:
         b = CharucoBoard()
