@@ -542,6 +542,9 @@ class CartesianController(LeanNode):
         if not await self._fresh_state():
             response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
             return response
+        if self._servo.state not in (ServoState.DISABLED, ServoState.FAULT):
+            response.success, response.message = True, "enabled meanwhile"
+            return response
         try:
             with self._lock:
                 self._servo.enable(self._measured, self._time())
@@ -570,6 +573,9 @@ class CartesianController(LeanNode):
             return response
         if not await self._fresh_state():
             response.message = f"no /joint_states within {FRESH_STATE_TIMEOUT} s"
+            return response
+        if self._servo.state is not ServoState.FAULT:  # asked twice: the other one was faster
+            response.success, response.message = True, "no fault any more"
             return response
         try:
             with self._lock:
