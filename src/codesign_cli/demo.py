@@ -147,7 +147,7 @@ def _print_table(summary: dict[str, Any]) -> None:
     columns = ["gripper", "seed", "success", "top-10 % stress [Pa]", "median [Pa]", "lift [mm]"]
     seen = any("camera" in trial for trial in summary["trials"])
     if seen:
-        columns += ["camera off, median [mm]", "95 % [mm]", "rejected"]
+        columns += ["camera off [mm]", "95 %", "rejected"]
     for column in columns:
         table.add_column(column, justify="right")
     for trial in summary["trials"]:
