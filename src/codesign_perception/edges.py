@@ -124,7 +124,7 @@ def subpixel_edges(
     inside, beyond = colors.share(inner), colors.share(outer)
     with np.errstate(invalid="ignore"):
         found = (
-            (inside > 0.4) & (inside < 1.7) & (inside - beyond > 0.3)
+            (inside > 0.4) & (inside < 3.0) & (inside - beyond > 0.3)
             & (np.abs(offsets) <= reach + MARGIN) & (crossings <= 3)
         )  # fmt: skip
         goes_on = (inside > 0.4) & (beyond > 0.4) & (np.abs(inside - beyond) < 0.2)

@@ -13,6 +13,7 @@ from codesign_perception.camera import Floats
 from codesign_perception.config import EstimatorConfig
 from codesign_perception.edges import Colors, Image
 
+NECK = 6  # px of the reduced picture
 YAWS = np.arange(12) * np.pi / 12.0
 THRESHOLDS = (0.5, 0.35, 0.65)  # between table and the brightest there is
 LIFTS = (0.0, 0.05, 0.10, 0.15, 0.20)  # m above the table
@@ -42,10 +43,12 @@ def guesses(image: Image, plane: UndistortedImage, config: EstimatorConfig) -> l
     top = max(brightest, table + 2.0 * config.min_contrast)
     if share[int(min(table + config.min_contrast, 255))] >= 1.0:
         return []
+    # First patches as they are; then, where none fits, cut at narrow places: things that touch.
+    passes = [(threshold, 0) for threshold in THRESHOLDS] + [(THRESHOLDS[0], NECK)]
     found: list[Guess] = []
-    for threshold in THRESHOLDS:
+    for threshold, neck in passes:
         mask = (white > table + threshold * (top - table)).astype(np.uint8)
-        for patch in _patches(mask, config.reduction):
+        for patch in _patches(mask, config.reduction, neck):
             guess = _best_guess(small, mask, patch, plane, config)
             if guess is not None and not _is_known(guess, found):
                 found.append(guess)
@@ -65,15 +68,25 @@ class _Patch:
     pixels: NDArray[np.uint8]  # its own mask
 
 
-def _patches(mask: NDArray[np.uint8], step: int) -> list[_Patch]:
-    _, labels, stats, centers = cv2.connectedComponentsWithStats(mask, connectivity=4)
+def _patches(mask: NDArray[np.uint8], step: int, neck: int) -> list[_Patch]:
+    """Connected pixels, the largest first, cut where they are at most `neck` px wide (if any)."""
+    kernel = np.ones((neck + 1, neck + 1), dtype=np.uint8)
+    cores = np.asarray(cv2.erode(mask, kernel), dtype=np.uint8) if neck else mask
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(cores, connectivity=4)
     least = max(200 // step**2, 12)
     order = [i for i in np.argsort(-stats[1:, cv2.CC_STAT_AREA]) + 1 if stats[i, 4] >= least]
     found = []
     for i in order[:MAX_PATCHES]:
-        left, top, width, height, area = (int(v) for v in stats[i])
-        own = (labels[top : top + height, left : left + width] == i).astype(np.uint8)
-        found.append(_Patch(left, top, width, height, area, centers[i], own))
+        left, top, width, height, _ = (int(v) for v in stats[i])
+        left, top = max(left - neck, 0), max(top - neck, 0)
+        window = (slice(top, top + height + 2 * neck), slice(left, left + width + 2 * neck))
+        own = (labels[window] == i).astype(np.uint8)
+        if neck:
+            own = np.asarray(cv2.dilate(own, kernel), dtype=np.uint8) & mask[window]
+        moments = cv2.moments(own, binaryImage=True)
+        area = int(moments["m00"])
+        center = np.array([moments["m10"], moments["m01"]]) / area + [left, top]
+        found.append(_Patch(left, top, own.shape[1], own.shape[0], area, center, own))
     return found
 
 

@@ -35,6 +35,7 @@ GOOD = 0.85  # score at which no further guess is tried
 FREE_SIGMA = 0.25  # m, of a height of which nothing is known
 LIFT_GAIN = 0.1  # px^2: by how much a free height must fit better before the block counts as up
 SIZE_LIMIT = 3.0  # standard deviations
+FLOOR = np.array([5e-5, 5e-5, 5e-5, 1e-3])  # m, rad: errors that all points share, always added
 SCALE = np.array([1e-3, 1e-3, 1e-3, 1e-2, 1e-3, 1e-3, 1e-3])  # mm and centiradians: well scaled
 
 
@@ -384,7 +385,7 @@ class TofuPoseEstimator:
             position=fit.state[:3].copy(),
             yaw=wrapped(float(fit.state[3])),
             size=fit.state[4:].copy(),
-            covariance=fit.covariance[:4, :4].copy(),
+            covariance=fit.covariance[:4, :4] + np.diag(FLOOR**2),
             score=fit.score,
             rms=fit.rms,
             state=fit.belief.name,
