@@ -116,6 +116,12 @@ def finetune(
     stress_factor: Annotated[
         float, typer.Option(min=0.0, help="On the weight of stress in the reward.")
     ] = 5.0,
+    discount: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=0.9999, help="Per control step; 0 for the preset's. A high one is patient."
+        ),
+    ] = 0.995,
     seed: SeedOption = 0,
     lanes: LanesOption = 16,
     resume: ResumeOption = False,
@@ -146,6 +152,7 @@ def finetune(
                 transitions=transitions,
                 tetrahedra=tets,
                 stress_factor=stress_factor,
+                discount=discount,
                 seed=seed,
                 lanes=lanes,
                 command=shlex.join(["codesign", *sys.argv[1:]]),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codesign_policy.files import replacing
-from codesign_policy.task import TASK_VERSION
+from codesign_policy.task import ENCODED, TASK_VERSION, encoded
 
 VERSION = 1
 
@@ -28,7 +28,8 @@ class TrainedPair:
         biases: of each layer, (out,); the last layer answers means and log spreads.
         design: (D,) in [-1, 1]; empty where the fingers were given.
         about: where it comes from, plain values; "space" names the design space of its fingers,
-            empty or missing for the stock fingers.
+            empty or missing for the stock fingers; "encoding" says whether the first layer takes
+            the encoded observation (`task.encoded`).
     """
 
     weights: tuple[NDArray[np.float32], ...]
@@ -42,9 +43,14 @@ class TrainedPair:
         return str(self.about.get("space", ""))
 
     @property
+    def encoding(self) -> bool:
+        """Whether the network sees observations encoded."""
+        return bool(self.about.get("encoding", False))
+
+    @property
     def observation_size(self) -> int:
         """Numbers of an observation."""
-        return self.weights[0].shape[0]
+        return self.weights[0].shape[0] - (ENCODED if self.encoding else 0)
 
     @property
     def control_size(self) -> int:
@@ -53,7 +59,7 @@ class TrainedPair:
 
     def act(self, observation: NDArray[np.floating]) -> NDArray[np.float32]:
         """The actor's mean action (n, 7) in [-1, 1] for normalised observations (n, o)."""
-        x = np.asarray(observation, np.float32)
+        x = encoded(observation) if self.encoding else np.asarray(observation, np.float32)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = np.maximum(x @ weight + bias, 0.0)
         last = x @ self.weights[-1] + self.biases[-1]

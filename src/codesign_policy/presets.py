@@ -11,6 +11,7 @@ class Preset:
         name: what it is called.
         critics: members of the ensemble.
         critic_subset: how many of the target critics, drawn anew, the target's minimum is over.
+        encoding: whether networks see observations with Fourier features (`task.encoded`).
         hidden: widths of the hidden layers, of critics and control actor.
         learning_rate: of Adam, everywhere.
         discount: per policy period of the control stage; none across the design boundary.
@@ -37,6 +38,7 @@ class Preset:
     name: str
     critics: int
     critic_subset: int
+    encoding: bool
     hidden: tuple[int, ...]
     learning_rate: float
     discount: float
@@ -66,6 +68,7 @@ PUBLISHED = Preset(
     name="published",
     critics=10,
     critic_subset=2,
+    encoding=False,
     hidden=(256, 256),
     learning_rate=3e-4,
     discount=0.99,
@@ -96,6 +99,7 @@ FAST = Preset(
     name="fast",
     critics=2,
     critic_subset=2,
+    encoding=True,
     hidden=(128, 128),
     learning_rate=5e-4,
     discount=0.985,
@@ -107,7 +111,7 @@ FAST = Preset(
     backup_entropy=False,
     start_transitions=1000,
     control_temperature=0.1,
-    control_entropy=-4.0,
+    control_entropy=-6.0,
     design_temperature=0.01,
     design_entropy_per_parameter=None,
     design_temperature_range=(0.01, 0.01),

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codesign_policy.metrics import SUCCESS_LIFT
+from codesign_policy.reward import ALPHA
 from codesign_policy.rlpd import Agent
 
 Array = NDArray[np.float32]
-STRESS_SCALE = 2000.0  # Pa of top-10 % and median stress together that outweigh one success
+STRESS_SCALE = 1000.0  # Pa of `fitness` that outweigh one success
 RECENT = 2  # generations whose fitness still says something: the controller goes on learning
 DESIGN_BOUND = 0.9  # designs stay within; demonstrations are fitted within 0.75
 
@@ -182,13 +183,16 @@ class DesignSearch:
 def fitness(metrics: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     """What a design's episode is worth: success, and little stress; a lift of some way counts half.
 
+    Top-10 % and median stress count as top-10 % and mean do in equation 1.
+
     Args:
         metrics: "success", "peak_lift" [m], "top10_stress" and "median_stress" [Pa], (E,) each;
             NaN where there was nothing to measure.
     """
     success = np.nan_to_num(metrics["success"])
     lift = np.clip(np.nan_to_num(metrics["peak_lift"]) / SUCCESS_LIFT, 0.0, 1.0)
-    stress = (metrics["top10_stress"] + metrics["median_stress"]) / STRESS_SCALE
+    stress = ALPHA * metrics["top10_stress"] + (1.0 - ALPHA) * metrics["median_stress"]
+    stress = stress / STRESS_SCALE
     # Fingers that never touch the block are worth no more than those that crush it.
     stress = np.where(np.isfinite(stress), np.clip(stress, 0.0, 1.0), 1.0)
     return success + 0.5 * lift - stress

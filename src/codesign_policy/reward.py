@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 ALPHA = 0.8
 BETA = 2000.0  # Pa
 
-STRESS_CAP = 4000.0  # Pa; uncapped, a block crushed by exploration outweighs everything learned
+STRESS_CAP = 3000.0  # Pa; uncapped, a block crushed by exploration outweighs everything learned
 LIFT_GOAL = 0.09  # m, at which the lift component ends growing
 FIRM_GRIP = 0.5  # N, at which the contact component ends growing; tofu needs 0.6 N to be held
 HELD_STEPS = 3  # control steps up and in contact until the object counts as held
@@ -40,7 +40,7 @@ class RewardWeights:
     lift: float = 1.0
     held: float = 1.0
     contact: float = 0.1
-    distance: float = 5.0
+    distance: float = 10.0
     stress: float = 2.5e-4
     turning: float = 20.0
 

@@ -30,6 +30,7 @@ from codesign_policy.networks import (
 from codesign_policy.policy_file import TrainedPair
 from codesign_policy.presets import Preset
 from codesign_policy.replay import Batch, Spaces
+from codesign_policy.task import ENCODED, encoded
 
 Stage = Literal["design", "control"]
 
@@ -96,7 +97,8 @@ class Agent:
                     f"design direction {design_direction}: must be {spaces.design} numbers, at "
                     "least one"
                 )
-        seen = spaces.observation - (0 if self._direction is None else spaces.design - 1)
+        seen = spaces.observation + (ENCODED if preset.encoding else 0)
+        seen -= 0 if self._direction is None else spaces.design - 1
         inputs = seen + spaces.action
         self.critics = CriticEnsemble(preset.critics, inputs, preset.hidden, self._random)
         self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
@@ -135,11 +137,13 @@ class Agent:
         return torch.optim.Adam(parameters, lr=self.preset.learning_rate, fused=True)
 
     def _seen(self, observation: NDArray[np.floating] | Tensor) -> Tensor:
-        """What networks see of observations (..., o): with a design direction, a scalar d."""
+        """What networks see of observations (..., o): encoded, and a scalar d if there is one."""
         whole = torch.as_tensor(observation, dtype=torch.float32)
+        if self.preset.encoding:
+            whole = torch.from_numpy(encoded(whole.numpy()))
         if self._direction is None:
             return whole
-        split = self.spaces.observation - self.spaces.design
+        split = whole.shape[-1] - self.spaces.design
         d = whole[..., split:] @ self._direction
         return torch.cat([whole[..., :split], d.unsqueeze(-1)], dim=-1)
 
@@ -318,7 +322,7 @@ class Agent:
             tuple(weights),
             tuple(layer.bias.detach().numpy().copy() for layer in layers),
             np.array(design, np.float32),
-            about,
+            {**about, "encoding": self.preset.encoding},
         )
 
     def state(self) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from codesign_policy.demonstrations import (
     load_demonstrations,
 )
 from codesign_policy.files import write_text
-from codesign_policy.presets import PRESETS
+from codesign_policy.presets import PRESETS, Preset
 from codesign_policy.proposals import DesignSearch, SearchSettings
 from codesign_policy.replay import ReplayBuffer, Spaces
 from codesign_policy.reward import RewardWeights
@@ -53,6 +53,7 @@ class RunConfig:
         design_direction: unit vector (D,): d is the design's component in it, the paper's scalar;
             empty: d is the whole design.
         preset: of the learner.
+        discount: in place of the preset's; 0 for that.
         search: whether designs come from `DesignSearch` instead of the design actor.
         transitions: budget, of the control stage.
         seed: of everything that is drawn.
@@ -70,6 +71,7 @@ class RunConfig:
     start: tuple[float, ...] = ()
     design_direction: tuple[float, ...] = ()
     preset: str = "fast"
+    discount: float = 0.0
     search: bool = True
     transitions: int = 240_000
     seed: int = 0
@@ -92,6 +94,12 @@ class RunConfig:
         """Sizes of what the agent sees and does."""
         size = design_space(self.space).parameter_count if self.space else 0
         return Spaces(observation=8 + size, design=size, control=7)
+
+    @property
+    def learner(self) -> Preset:
+        """Settings of the learner."""
+        preset = PRESETS[self.preset]
+        return replace(preset, discount=self.discount) if self.discount else preset
 
     @property
     def weights(self) -> dict[str, float]:
@@ -181,10 +189,12 @@ def make_training(
         ValueError: settings that do not belong together.
     """
     episodes = make_episodes(config)
+    if agent is not None:
+        agent.preset = config.learner
     start = np.array(config.start or (0.0,) * config.spaces.design)
     if agent is None:
         direction = np.array(config.design_direction) if config.design_direction else None
-        agent = Agent(config.spaces, PRESETS[config.preset], config.seed, start, direction)
+        agent = Agent(config.spaces, config.learner, config.seed, start, direction)
     search = None
     if config.learns_design and config.search:
         search = DesignSearch(start, config.lanes, SearchSettings(), config.seed)

@@ -1,7 +1,9 @@
-"""The design that a run ends with: proposed by the critics, decided by simulation.
+"""The design that a run ends with: searched for and proposed by the critics, decided by simulation.
 
-Candidates are the demonstrated designs, where the search stands, what it found best, and what the
-critics vouch for most among many drawn around these (lower-confidence bound over the ensemble).
+While a run learns, its controller changes and explores, so that outcomes say little about small
+differences between designs. When it has learned, the search goes on with the controller as it is.
+Candidates are the demonstrated designs, where both searches end and what they found best, and what
+the critics vouch for most among many drawn around these (lower-confidence bound over the ensemble).
 """
 
 from collections.abc import Callable, Sequence
@@ -21,6 +23,9 @@ FINE = 2400  # tetrahedra: optima of the coarse block sit at the slip threshold
 EPISODES = 16  # of every candidate
 KEPT = 4  # candidates of each kind
 DRAWN = 512  # around the candidates, for the critics to choose from
+REFINING = SearchSettings(rounds=2, practice=0)  # once the controller is as it is
+GENERATIONS = 12  # of that search
+_SHARE = 0.6  # of the time that it takes, for progress
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Candidate:
     """A design and how it did with the trained controller.
 
     Attributes:
-        origin: "demonstrated", "search", "tried" or "critics".
+        origin: "demonstrated", "search", "tried", "refined" or "critics".
         design: (D,) in [-1, 1].
         lower_bound: of its value, mean minus standard deviation over the critics.
         success: share of episodes.
@@ -64,7 +69,9 @@ def select_design(
     Raises:
         ValueError: no candidate can be printed and used.
     """
-    named = [(o, d) for o, d in _candidates(training, config) if _usable(config.space, d)]
+    refined = refine(training, lambda share: progress(_SHARE * share))
+    found = _candidates(training, config, refined)
+    named = [(o, d) for o, d in found if _usable(config.space, d)]
     if not named:
         raise ValueError("no candidate design can be printed and used: train longer")
     designs = np.array([design for _, design in named])
@@ -72,7 +79,11 @@ def select_design(
     assert observation is not None
     bounds = training.agent.choose_design(designs, observation).lower_bound
     judged = []
-    for k, metrics in enumerate(_outcomes(training, config, designs, progress)):
+
+    def outcome_progress(share: float) -> None:
+        progress(_SHARE + (1.0 - _SHARE) * share)
+
+    for k, metrics in enumerate(_outcomes(training, config, designs, outcome_progress)):
         judged.append(
             Candidate(
                 origin=named[k][0],
@@ -87,7 +98,37 @@ def select_design(
     return sorted(judged, key=lambda candidate: -candidate.fitness)
 
 
-def _candidates(training: Training, config: RunConfig) -> list[tuple[str, NDArray[np.float32]]]:
+def refine(
+    training: Training,
+    progress: Callable[[float], None] = lambda share: None,
+    generations: int = GENERATIONS,
+) -> DesignSearch:
+    """Searches on from where the run's search stands, with the controller's mean actions.
+
+    Args:
+        training: a run that has learned designs.
+        progress: told the share that is done.
+        generations: of the search, each two episodes per lane.
+    """
+    episodes, search = training.episodes, training.proposer
+    lanes = episodes.environment.num_envs
+    if isinstance(search, DesignSearch):
+        start = search.centre
+    else:
+        start = np.tanh(training.agent.actors["design"].mean.detach().numpy())  # type: ignore
+    refined = DesignSearch(start, lanes, REFINING, training.config.seed)
+    rounds = generations * REFINING.rounds
+    rows = ReplayBuffer(training.agent.spaces, episodes.components, lanes)  # nobody reads them
+    for k in range(rounds):
+        played = play_round(episodes, lanes * k, training.act, rows, refined.propose())
+        refined.judge(played.metrics)
+        progress((k + 1) / rounds)
+    return refined
+
+
+def _candidates(
+    training: Training, config: RunConfig, refined: DesignSearch
+) -> list[tuple[str, NDArray[np.float32]]]:
     observation = training.episodes.design_observation
     assert observation is not None
     found: list[tuple[str, NDArray[np.float32]]] = []
@@ -100,6 +141,7 @@ def _candidates(training: Training, config: RunConfig) -> list[tuple[str, NDArra
     else:
         drawn = training.agent.propose_designs(np.tile(observation, (KEPT, 1)))
         found += [("search", design) for design in drawn]
+    found += [("refined", design) for design in (refined.centre, *refined.best(KEPT))]
     random = np.random.default_rng([config.seed, 3])
     centres = np.array([design for _, design in found])
     noise = random.normal(scale=SearchSettings().spread, size=(DRAWN, centres.shape[1]))

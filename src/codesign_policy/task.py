@@ -8,16 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-TASK_VERSION = 2  # of observation, action and reward components: stored transitions name it
+TASK_VERSION = 3  # of observation, action and reward components: stored transitions name it
 POLICY_PERIOD = 0.05  # s, 20 Hz
 EPISODE_STEPS = 200  # 10 s
 
-# Largest change in one policy period: 0.14 m/s and 0.5 rad/s along each axis, 0.1 m/s of the gap.
-# Within what the controller accepts in one action (0.25 m/s, 1 rad/s).
-MAX_TRANSLATION = 0.007  # m, each axis
-MAX_ROTATION = 0.025  # rad, each axis
-MAX_WIDTH_CHANGE = 0.005  # m
-ACTION_SCALE = np.array([MAX_TRANSLATION] * 3 + [MAX_ROTATION] * 3 + [MAX_WIDTH_CHANGE])
+# Largest change in one policy period: 0.08 m/s along x and y, 0.14 m/s along z, 0.1 rad/s about
+# each axis, 0.03 m/s of the gap. Within what the controller accepts in one action (0.25 m/s,
+# 1 rad/s). Larger ones make exploration too rough for tofu, and rotation, which is not observed,
+# adds up.
+MAX_TRANSLATION = np.array([0.004, 0.004, 0.007])  # m
+MAX_ROTATION = 0.005  # rad, each axis
+MAX_WIDTH_CHANGE = 0.0015  # m
+ACTION_SCALE = np.array([*MAX_TRANSLATION, *[MAX_ROTATION] * 3, MAX_WIDTH_CHANGE])
 
 ACTION_NAMES = ("dx", "dy", "dz", "rx", "ry", "rz", "dw")
 ACTION_ROUNDING = 1e-6  # beyond [-1, 1], for networks in single precision
@@ -33,6 +35,24 @@ WORKSPACE_UPPER = np.array([0.75, 0.40, 0.60])  # m
 _CENTRE = [0.45, 0.0, 0.1]  # m
 OBSERVATION_ORIGIN = np.array([*_CENTRE, *_CENTRE, 0.03, 0.0])
 OBSERVATION_SCALE = np.array([0.1] * 6 + [0.03, 1.0])
+
+# A millimetre decides over a grasp and is a hundredth of these units: too little for a network to
+# see. The encoding adds sines and cosines (Fourier features, Tancik et al. 2020) of what matters:
+# the tool relative to the object (3), heights of tool and object, and the gap.
+WAVELENGTHS = (0.16, 0.04)  # m
+ENCODED = 2 * 6 * len(WAVELENGTHS)  # numbers that it adds
+
+
+def _phases() -> NDArray[np.float32]:
+    """(8, 12): phases [rad] of the encoding per unit of a normalised observation."""
+    lengths = np.zeros((8, 6))
+    lengths[[0, 1, 2], [0, 1, 2]], lengths[[3, 4, 5], [0, 1, 2]] = 1.0, -1.0
+    lengths[2, 3] = lengths[5, 4] = lengths[6, 5] = 1.0
+    metres = OBSERVATION_SCALE[:, None] * lengths
+    return np.concatenate([2.0 * np.pi / w * metres for w in WAVELENGTHS], 1).astype(np.float32)
+
+
+PHASES = _phases()
 
 
 def scaled_actions(actions: NDArray[np.floating], count: int) -> NDArray[np.float64]:
@@ -66,6 +86,18 @@ def physical_observations(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
     physical = np.array(vectors, dtype=np.float64)
     physical[..., :8] = physical[..., :8] * OBSERVATION_SCALE + OBSERVATION_ORIGIN
     return physical
+
+
+def encoded(observations: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Normalised observations (..., 8 + D) with the encoding after their 8th number.
+
+    Returns:
+        (..., 8 + ENCODED + D).
+    """
+    given = np.asarray(observations, np.float32)
+    phase = given[..., :8] @ PHASES
+    parts = [given[..., :8], np.sin(phase), np.cos(phase), given[..., 8:]]
+    return np.concatenate(parts, axis=-1)
 
 
 def design_stage_observation(parameters: int) -> NDArray[np.float32]:

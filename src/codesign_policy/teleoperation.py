@@ -51,7 +51,7 @@ class JoyMapping:
     open: int = 1
     finish: int = 7
     dead_zone: float = 0.1
-    gap_speed: float = 0.2
+    gap_speed: float = 0.4
     key_speed: float = 0.5
 
     def __post_init__(self) -> None:

@@ -28,7 +28,7 @@ def test_the_saved_pair_acts_as_the_agent(tmp_path: Path, preset: Preset) -> Non
         pair.act(observation), agent.act(observation, explore=False), atol=2e-6
     )
     np.testing.assert_array_equal(pair.design, design)
-    assert pair.about == {"seed": 4, "preset": preset.name}
+    assert pair.about == {"seed": 4, "preset": preset.name, "encoding": preset.encoding}
     assert (pair.observation_size, pair.control_size) == (29, 7)
     assert pair.act(observation[0]).shape == (7,)
     assert path.stat().st_size < 5e6
@@ -67,7 +67,7 @@ def test_layers_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "pair.npz"
     pair = Agent(SPACES, FAST, 0).pair(np.zeros(21), {})
     replace(pair, weights=(pair.weights[0][:, :5], *pair.weights[1:])).save(path)
-    with pytest.raises(ValueError, match=r"layer 0 has shape \(29, 5\), .* \(29, 128\)"):
+    with pytest.raises(ValueError, match=r"layer 0 has shape \(53, 5\), .* \(53, 128\)"):
         load_pair(path)
     pair.biases[0][3] = np.nan
     pair.save(path)

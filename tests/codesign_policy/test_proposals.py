@@ -94,4 +94,5 @@ def test_fitness_is_success_lift_and_stress() -> None:
             "median_stress": np.array([200.0, 500.0, 900.0, np.nan]),
         }
     )
-    np.testing.assert_allclose(found, [1.5 - 0.4, 0.25 - 0.7, -1.0, -1.0])
+    first, second = 0.8 * 0.6 + 0.2 * 0.2, 0.8 * 0.9 + 0.2 * 0.5  # kPa, as in equation 1
+    np.testing.assert_allclose(found, [1.5 - first, 0.25 - second, -1.0, -1.0])

@@ -35,7 +35,7 @@ def components(**changed: object) -> RewardComponents:
     [
         (2000.0, 2000.0, -2000.0),  # at beta the penalty equals the stress
         (1000.0, 500.0, -(900.0**2) / 2000.0),  # 0.8 * 1000 + 0.2 * 500 = 900
-        (1e5, 1e5, -8000.0),  # capped at 4 kPa
+        (1e5, 1e5, -4500.0),  # capped at 3 kPa
     ],
 )
 def test_stress_penalty_is_equation_1(top10: float, mean: float, penalty: float) -> None:

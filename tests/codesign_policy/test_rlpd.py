@@ -11,7 +11,7 @@ from codesign_policy.replay import Batch, Spaces
 from codesign_policy.rlpd import LEAST_VALUE, Agent, LearningError
 
 SPACES = Spaces(observation=4, design=3, control=2)
-SMALL = replace(FAST, hidden=(8,), batch_size=6, actor_period=1)
+SMALL = replace(FAST, encoding=False, hidden=(8,), batch_size=6, actor_period=1)
 
 
 def batch(in_control: list[bool], seed: int = 0, **change: torch.Tensor) -> Batch:

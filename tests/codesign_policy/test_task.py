@@ -8,8 +8,10 @@ from hypothesis.extra.numpy import arrays
 
 from codesign_policy.task import (
     ACTION_SCALE,
+    ENCODED,
     ControlAction,
     Observation,
+    encoded,
     normalised_observations,
     physical_observations,
     scaled_actions,
@@ -85,3 +87,33 @@ def test_single_precision_at_the_limit_is_no_error() -> None:
     np.testing.assert_array_equal(scaled_actions(just_beyond, 1)[0], ACTION_SCALE)
     with pytest.raises(ValueError, match=r"lane 0: dx is 1\.01.*clip it"):
         scaled_actions(np.full((1, 7), 1.01), 1)
+
+
+def test_the_encoding_knows_wavelengths() -> None:
+    """Moving tool and object together changes their heights alone; a wavelength changes nothing."""
+    here = Observation(np.array([0.45, 0.01, 0.05]), np.array([0.44, 0.0, 0.02]), 0.05, np.ones(3))
+    first = encoded(here.normalised())
+    assert first.shape == (8 + ENCODED + 3,)
+    np.testing.assert_allclose(first[:8], here.normalised()[:8], atol=1e-6)
+    np.testing.assert_array_equal(first[-3:], 1.0)
+
+    def moved(tool: list[float], thing: list[float], gap: float) -> np.ndarray:
+        there = Observation(
+            here.tcp_position + tool, here.object_position + thing, here.width + gap, here.design
+        )
+        return encoded(there.normalised())[8:-3] - first[8:-3]
+
+    np.testing.assert_allclose(moved([0.1, 0.02, 0.0], [0.1, 0.02, 0.0], 0.0), 0.0, atol=1e-5)
+    np.testing.assert_allclose(moved([0.16, 0.0, 0.0], [0.0, 0.16, 0.16], 0.16), 0.0, atol=1e-5)
+    assert np.abs(moved([0.001, 0.0, 0.0], [0.0, 0.0, 0.0], 0.0)).max() > 0.1  # a millimetre
+
+
+def test_the_encoding_is_sines_and_cosines() -> None:
+    seen = Observation(np.array([0.0, 0.0, 0.0]), np.array([0.01, 0.0, 0.0]), 0.0)
+    values = encoded(seen.normalised())[8:]
+    there = Observation(np.zeros(3), np.zeros(3), 0.0)
+    base = encoded(there.normalised())[8:]
+    turned = np.arctan2(values[:12], values[12:]) - np.arctan2(base[:12], base[12:])
+    expected = np.zeros(12)
+    expected[0], expected[6] = -2 * np.pi * 0.01 / 0.16, -2 * np.pi * 0.01 / 0.04
+    np.testing.assert_allclose((turned - expected + np.pi) % (2 * np.pi) - np.pi, 0.0, atol=1e-5)

@@ -23,7 +23,8 @@ from codesign_policy.rounds import Episodes, play_round
 from codesign_policy.tensorboard_log import TensorBoardLog
 from codesign_policy.training import Progress, Training, TrainingConfig
 
-QUICK = replace(FAST, hidden=(16,), batch_size=16, design_rows=4, start_transitions=40)
+TOY = replace(FAST, encoding=False)  # its observations are not those of the grasp
+QUICK = replace(TOY, hidden=(16,), batch_size=16, design_rows=4, start_transitions=40)
 METRICS = ("success", "peak_lift", "top10_stress", "median_stress")
 CONFIG = TrainingConfig(transitions=160, reward_weights=WEIGHTS, seed=1, capacity=1000)
 
@@ -334,7 +335,7 @@ def test_the_known_optimum_is_approached() -> None:
     The control must reach targets that depend on the design: standing still costs 2.5, the best is
     0.4. `fast` with smaller layers and batches, to save time.
     """
-    agent = Agent(SPACES, replace(FAST, hidden=(64, 64), batch_size=128), 0)
+    agent = Agent(SPACES, replace(TOY, hidden=(64, 64), batch_size=128), 0)
     config = TrainingConfig(6400, WEIGHTS)
     run = Training(agent, toy_episodes(16, terminates=True), config)
     run.run()

@@ -86,7 +86,7 @@ def test_the_arm_follows_a_held_stick_and_halts_when_it_is_let_go(
     sequences = [m.sequence for m in actions]
     assert sequences == list(range(1, len(actions) + 1))
     for m in actions:
-        assert m.translation.x == pytest.approx(0.5 * MAX_TRANSLATION)
+        assert m.translation.x == pytest.approx(0.5 * MAX_TRANSLATION[0])
         assert (m.translation.y, m.translation.z, m.rotation.z, m.width) == (0.0, 0.0, 0.0, 0.0)
         assert m.header.frame_id == "link_base"
     stamps = np.array([stamp_seconds(m.header.stamp) for m in actions])
@@ -174,7 +174,7 @@ def test_keys_of_a_terminal_act_and_ctrl_c_gives_it_back(arm: FakeArm, graph: An
 
         arm.probe.wait_for(acts, 10.0, "an action")
         action = arm.probe.latest("/action")
-        assert action.translation.z == pytest.approx(0.5 * MAX_TRANSLATION)
+        assert action.translation.z == pytest.approx(0.5 * MAX_TRANSLATION[2])
         process.send_signal(signal.SIGINT)
         assert process.wait(10.0) == 0
         assert termios.tcgetattr(terminal) == before

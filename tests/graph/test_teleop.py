@@ -50,8 +50,8 @@ def test_a_trial_ends_when_the_person_says_so(probe: Probe, graph: Graph, tmp_pa
     assert len(actions) >= 20
     assert [m.sequence for m in actions] == list(range(1, len(actions) + 1))
     for m in actions:
-        assert m.translation.z == pytest.approx(-MAX_TRANSLATION)
-        assert m.width == pytest.approx(0.2 * MAX_WIDTH_CHANGE)
+        assert m.translation.z == pytest.approx(-MAX_TRANSLATION[2])
+        assert m.width == pytest.approx(0.4 * MAX_WIDTH_CHANGE)
     assert recorded(bag, "/joy")
     tools = [m.pose.position.z for m in recorded(bag, "/tcp_pose")]
     # 0.14 m were asked for; a machine that is too busy for real time may end the motion early.
