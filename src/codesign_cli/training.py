@@ -406,7 +406,7 @@ def _finish(training: Training, config: RunConfig, out: Path, quiet: bool) -> No
     typer.echo(f"pair: {out / 'policy.npz'}")
 
 
-def _draw_finger(space: str, design: NDArray[np.floating], path: Path) -> None:
+def _draw_finger(space: str, design: NDArray[np.float64], path: Path) -> None:
     """A picture of the finger that a run has ended with."""
     from codesign_design.design_space import design_space
     from codesign_design.pictures import design_picture, finger_picture, save
