@@ -298,11 +298,11 @@ class TofuPoseEstimatorNode(LeanNode):
             values["state"] = self._answer[1].pose.state
         if self._info_error:
             return DiagnosticStatus.ERROR, self._info_error, values
+        if self._gate.frozen:
+            return DiagnosticStatus.ERROR, self._message, values
         silent = self._heard_at is None or time.monotonic() - self._heard_at > SILENCE
         if silent:
             return DiagnosticStatus.WARN, "waiting for pictures", values
-        if self._gate.frozen:
-            return DiagnosticStatus.ERROR, self._message, values
         if self._message:
             return DiagnosticStatus.WARN, self._message, values
         return DiagnosticStatus.OK, "running", values
