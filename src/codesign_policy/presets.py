@@ -11,7 +11,7 @@ class Preset:
         name: what it is called.
         critics: members of the ensemble.
         critic_subset: how many of the target critics, drawn anew, the target's minimum is over.
-        encoding: whether networks see observations with Fourier features (`task.encoded`).
+        encoding: whether networks see observations with what a millimetre changes (`task.encoded`).
         hidden: widths of the hidden layers, of critics and control actor.
         learning_rate: of Adam, everywhere.
         discount: per policy period of the control stage; none across the design boundary.
@@ -111,7 +111,7 @@ FAST = Preset(
     backup_entropy=False,
     start_transitions=1000,
     control_temperature=0.1,
-    control_entropy=-6.0,
+    control_entropy=-4.0,
     design_temperature=0.01,
     design_entropy_per_parameter=None,
     design_temperature_range=(0.01, 0.01),

@@ -12,13 +12,13 @@ TASK_VERSION = 3  # of observation, action and reward components: stored transit
 POLICY_PERIOD = 0.05  # s, 20 Hz
 EPISODE_STEPS = 200  # 10 s
 
-# Largest change in one policy period: 0.08 m/s along x and y, 0.14 m/s along z, 0.1 rad/s about
-# each axis, 0.03 m/s of the gap. Within what the controller accepts in one action (0.25 m/s,
+# Largest change in one policy period: 0.08 m/s along x and y, 0.14 m/s along z, 0.2 rad/s about
+# each axis, 0.05 m/s of the gap. Within what the controller accepts in one action (0.25 m/s,
 # 1 rad/s). Larger ones make exploration too rough for tofu, and rotation, which is not observed,
 # adds up.
 MAX_TRANSLATION = np.array([0.004, 0.004, 0.007])  # m
-MAX_ROTATION = 0.005  # rad, each axis
-MAX_WIDTH_CHANGE = 0.0015  # m
+MAX_ROTATION = 0.010  # rad, each axis
+MAX_WIDTH_CHANGE = 0.0025  # m
 ACTION_SCALE = np.array([*MAX_TRANSLATION, *[MAX_ROTATION] * 3, MAX_WIDTH_CHANGE])
 
 ACTION_NAMES = ("dx", "dy", "dz", "rx", "ry", "rz", "dw")
@@ -37,22 +37,29 @@ OBSERVATION_ORIGIN = np.array([*_CENTRE, *_CENTRE, 0.03, 0.0])
 OBSERVATION_SCALE = np.array([0.1] * 6 + [0.03, 1.0])
 
 # A millimetre decides over a grasp and is a hundredth of these units: too little for a network to
-# see. The encoding adds sines and cosines (Fourier features, Tancik et al. 2020) of what matters:
-# the tool relative to the object (3), heights of tool and object, and the gap.
-WAVELENGTHS = (0.16, 0.04)  # m
-ENCODED = 2 * 6 * len(WAVELENGTHS)  # numbers that it adds
+# see. The encoding adds tanh((u - centre) / width) of what matters, u [m]: the tool relative to the
+# object along x, y, z, the heights of tool and object, and the gap. Far away it says nothing new.
+_ENCODING = (  # u as a sum of numbers of the observation {index: factor}, centre, width [m]
+    *(({k: 1.0, 3 + k: -1.0}, 0.0, width) for width in (0.01, 0.03) for k in range(3)),
+    ({2: 1.0}, 0.0, 0.03),
+    ({5: 1.0}, 0.02, 0.02),
+    *(({6: 1.0}, centre, 0.008) for centre in (0.015, 0.030, 0.045)),
+)
+ENCODED = len(_ENCODING)  # numbers that it adds
 
 
-def _phases() -> NDArray[np.float32]:
-    """(8, 12): phases [rad] of the encoding per unit of a normalised observation."""
-    lengths = np.zeros((8, 6))
-    lengths[[0, 1, 2], [0, 1, 2]], lengths[[3, 4, 5], [0, 1, 2]] = 1.0, -1.0
-    lengths[2, 3] = lengths[5, 4] = lengths[6, 5] = 1.0
-    metres = OBSERVATION_SCALE[:, None] * lengths
-    return np.concatenate([2.0 * np.pi / w * metres for w in WAVELENGTHS], 1).astype(np.float32)
+def _encoding() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Factors (8, ENCODED) and offsets (ENCODED,) of the encoding for normalised observations."""
+    factors, offsets = np.zeros((8, ENCODED)), np.zeros(ENCODED)
+    for k, (terms, centre, width) in enumerate(_ENCODING):
+        for index, factor in terms.items():
+            factors[index, k] = factor * OBSERVATION_SCALE[index] / width
+            offsets[k] += factor * OBSERVATION_ORIGIN[index] / width
+        offsets[k] -= centre / width
+    return factors.astype(np.float32), offsets.astype(np.float32)
 
 
-PHASES = _phases()
+_FACTORS, _OFFSETS = _encoding()
 
 
 def scaled_actions(actions: NDArray[np.floating], count: int) -> NDArray[np.float64]:
@@ -95,9 +102,8 @@ def encoded(observations: NDArray[np.floating]) -> NDArray[np.float32]:
         (..., 8 + ENCODED + D).
     """
     given = np.asarray(observations, np.float32)
-    phase = given[..., :8] @ PHASES
-    parts = [given[..., :8], np.sin(phase), np.cos(phase), given[..., 8:]]
-    return np.concatenate(parts, axis=-1)
+    added = np.tanh(given[..., :8] @ _FACTORS + _OFFSETS)
+    return np.concatenate([given[..., :8], added, given[..., 8:]], axis=-1)
 
 
 def design_stage_observation(parameters: int) -> NDArray[np.float32]:
