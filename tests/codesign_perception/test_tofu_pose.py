@@ -30,7 +30,7 @@ def random_pose(rng: np.random.Generator, spread: float = 0.05) -> np.ndarray:
     return np.array([x, y, 0.02, rng.uniform(-np.pi / 2, np.pi / 2)])
 
 
-@pytest.mark.parametrize(("blur", "noise", "limit"), [(0.0, 0.0, 0.25), (1.0, 4.0, 0.4)])
+@pytest.mark.parametrize(("blur", "noise", "limit"), [(0.0, 0.0, 0.12), (1.0, 4.0, 0.4)])
 def test_resting_block(camera: Camera, blur: float, noise: float, limit: float) -> None:
     """Errors below `limit` mm and 1 degree in every one of 12 pictures."""
     rng = np.random.default_rng(1)
