@@ -18,7 +18,7 @@ from codesign_policy.task import Observation
 from codesign_policy.tofu_grasp import ID, TofuGrasp
 from codesign_policy.tool import ToolStart
 
-AROUND = ToolStart((0.45, 0.0, 0.01), 0.05)  # fingers beside the block
+AROUND = ToolStart((0.45, 0.0, 0.01), 0.038)  # fingers beside the block
 SHORT = ControlConfig(start=AROUND, episode_steps=12)
 LONG = ControlConfig(start=AROUND)
 
@@ -209,7 +209,7 @@ def test_fingers_are_swapped_in_lanes_that_are_reset() -> None:
         runs.append([play(env, moves[8:14], 0), play(env, moves[:6], 1)])
         if new:
             assert env.fingers[1] is rounder
-            for _ in range(10):
+            for _ in range(20):
                 observations, *_ = env.step(np.tile([0, 0, 0, 0, 0, 0, -1.0], (4, 1)))
             widths = [Observation.from_normalised(o).width for o in observations]
             assert widths[1] == pytest.approx(0.02)

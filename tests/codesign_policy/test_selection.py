@@ -17,6 +17,7 @@ from codesign_policy.selection import Candidate, refine, select_design
 from codesign_policy.training import Training, TrainingConfig
 
 
+@pytest.mark.timeout(600)
 def test_candidates_are_judged_in_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(selection, "FINE", 600)
     monkeypatch.setattr(selection, "EPISODES", 8)
