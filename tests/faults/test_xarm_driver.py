@@ -144,6 +144,7 @@ def test_a_short_hang_is_a_fault_too(moving: Rig) -> None:
     time.sleep(0.15)
     moving.box.switch(hung=False)
     moving.wait_for(DriverState.FAULT, 1.0)
+    time.sleep(0.1)  # what was on its way when the box hung, it takes now
     assert_still(moving)
     moving.driver.recover()
     stop_and_match(moving)
