@@ -149,9 +149,10 @@ def test_the_graph_goes_where_the_environment_goes(trials: dict[str, Any]) -> No
     steps = control_stage(trials["shaped"], pair.design)
     here = np.array([states[k] for k in steps])
     there = np.array([served for served, _ in steps.values()])
-    # 7 mm is one step on the way down; standing on the table both are where they are told.
+    # 7 mm is one step on the way down. Standing on the table both are where they are told, once
+    # the gap stands too: while it moves the controller keeps room for the four-bar, up to 0.9 mm.
     np.testing.assert_allclose(there[:, :3], here[:, :3], atol=0.004)
-    np.testing.assert_allclose(there[-100:, :3], here[-100:, :3], atol=0.0003)
+    np.testing.assert_allclose(there[-60:, :3], here[-60:, :3], atol=0.0003)
     np.testing.assert_allclose(there[:, 6], here[:, 6], atol=0.0002)
     fingers = env.fingers[0]
     assert there[:, 2].min() > fingers.tip_depth - 0.0001  # pressed down, but not into the table

@@ -28,6 +28,8 @@ NO_ANSWER = 3
 PATIENCE = 10.0  # s, for a node to appear, and for an arm to follow
 ASK_AGAIN = 5.0  # s; a reply is lost while the nodes still find each other
 LISTEN = 2.5  # s; every node reports once a second
+# s; an arm's driver begins with commands that stand where the arm stands, and needs to see some.
+MATCH_PAUSE = 0.5
 FOLLOWED = 0.02  # rad, an arm this close to its set-points follows them
 WORDS = {
     DiagnosticStatus.OK: "ok",
@@ -74,6 +76,7 @@ class Operator(Node):
         if not client.wait_for_server(PATIENCE):
             raise Silent(f"no action /cartesian_controller/move_to within {PATIENCE:g} s")
         self.enable("cartesian_controller")
+        time.sleep(MATCH_PAUSE)
         try:
             goal = MoveTo.Goal(width=width, speed_scale=speed)
             handle = self._wait(client.send_goal_async(goal), ASK_AGAIN, "the goal's acceptance")

@@ -46,6 +46,8 @@ from codesign_nodes.node_tools import (
 from codesign_policy.metrics import GraspMetrics, grasp_metrics, pose_metrics
 
 RESETS = 5  # until the simulator wears the fingers that the policy is ready for
+# s; an arm's driver begins with commands that stand where the arm stands, and needs to see some.
+MATCH_PAUSE = 0.5
 RESET_PAUSE = 0.5  # s
 LAST_SAMPLES = 5.0  # s, longest wait for them on a busy machine
 FOLLOWED = 0.02  # rad, a real arm this close to its set-points follows them
@@ -278,6 +280,7 @@ class TrialRunner(LeanNode):
             await self._call(self._reset_fault, Trigger.Request())
         await self._call(self._enable, SetBool.Request(data=True))
         if not self._simulated:
+            await self.sleep(MATCH_PAUSE)
             await self._go_home()
         return domain
 
