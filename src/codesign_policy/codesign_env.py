@@ -30,7 +30,7 @@ from codesign_policy.reward import RewardComponents, RewardWeights
 from codesign_policy.task import design_stage_observation
 
 COMPONENTS = (*(f.name for f in fields(RewardComponents)), "invalid")
-# More than a hand costs that stays open beside the block (6 in 200 steps, 11 at most, undiscounted).
+# More than a hand costs that stays open beside the block: 6 in 200 steps, 11 at most.
 INVALID_WEIGHT = 20.0
 ROUNDING = 1e-6  # beyond [-1, 1], for networks in single precision
 KEPT_DESIGNS = 256  # pairs in memory, about 0.3 MB each
