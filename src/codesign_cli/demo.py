@@ -134,8 +134,9 @@ def _report(folder: Path) -> None:
         codesign_report.build(
             folder,
             progress=lambda done, total, name: progress.update(
-                task, completed=done, total=total, description=f"video {name}"
+                task, completed=done, total=total, description=f"videos: {name}"
             ),
+            processes=len(os.sched_getaffinity(0)),
         )
 
 

@@ -1,5 +1,6 @@
 """`codesign report`: videos and pages of recorded trials."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -36,6 +37,7 @@ def report(
                 progress=lambda done, total, name: bar.update(
                     task, completed=done, total=total, description=name
                 ),
+                processes=len(os.sched_getaffinity(0)),
             )
     except ValueError as error:
         fail(error)

@@ -1,8 +1,11 @@
 """From the bags of a run to videos, summary and report."""
 
+import multiprocessing
 from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from codesign_report.bag import BagError, read_trial, trial_metrics
 from codesign_report.camera_view import camera_topic, write_camera_video
@@ -15,6 +18,10 @@ Progress = Callable[[int, int, str], None]
 
 ALONE, SIDE_BY_SIDE = (1280, 720), (960, 540)
 """Width and height of videos [px]: of one gripper, and of several, which share the page's width."""
+
+PROGRESS_PERIOD = 0.2  # s, between looks at what other processes have done
+
+_pictures: Any = None  # in a process of the pool: counts the pictures of all
 
 
 @dataclass(frozen=True)
@@ -33,6 +40,7 @@ def build(
     progress: Progress | None = None,
     *,
     size: tuple[int, int] | None = None,
+    processes: int = 1,
 ) -> RunReport:
     """Render a video per trial and write summary.json and report.html into the run's folder.
 
@@ -42,8 +50,10 @@ def build(
     Args:
         run_dir: folder to write to.
         trials: bags; None: every bag folder directly in `run_dir`.
-        progress: called with pictures done, pictures in total and the trial's name.
+        progress: called with pictures done, pictures in total and what is being done.
         size: width and height of the videos, even [px]; None: `ALONE` or `SIDE_BY_SIDE`.
+        processes: that render videos side by side. More than one: the calling script needs the
+            usual `if __name__ == "__main__"`.
 
     Raises:
         BagError: no bag, or none that can be used.
@@ -61,7 +71,7 @@ def build(
     _require_distinct(recordings)
     several = len({recording.gripper for recording in recordings}) > 1
     size = size or (SIDE_BY_SIDE if several else ALONE)
-    results = _render_all(recordings, folder, size, progress)
+    results = _render_all(recordings, folder, size, progress, processes)
     return RunReport(
         page=write_report(results, folder / "report.html", skipped, _portraits(recordings)),
         summary=write_summary(results, folder / "summary.json", skipped),
@@ -120,22 +130,82 @@ def _render_all(
     folder: Path,
     size: tuple[int, int],
     progress: Progress | None,
+    processes: int,
 ) -> list[TrialResult]:
     maximum = stress_ceiling(recordings)
     total = sum(frame_count(recording) for recording in recordings)
-    done = 0
-    results = []
-    for recording in recordings:
+    tell = progress or (lambda done, total, what: None)
+    jobs = [(recording, folder, size, maximum) for recording in recordings]
+    processes = min(processes, len(jobs))
+    if processes > 1:
+        return _in_processes(jobs, processes, lambda done, what: tell(done, total, what))
+    results: list[TrialResult] = []
+    for job in jobs:
+        before = sum(frame_count(result.recording) for result in results)
 
-        def report(frame: int, _: int, before: int = done, name: str = recording.name) -> None:
-            if progress:
-                progress(before + frame, total, name)
+        def told(frame: int, before: int = before, name: str = job[0].name) -> None:
+            tell(before + frame, total, name)
 
-        metrics = trial_metrics(recording)
-        video = folder / f"{recording.name}.mp4"
-        write_video(
-            recording, video, stress_max=maximum, width=size[0], height=size[1], progress=report
-        )
-        results.append(TrialResult(recording, metrics, video, _camera_video(recording, folder)))
-        done += frame_count(recording)
+        results.append(_render(*job, told))
     return results
+
+
+def _render(
+    recording: TrialRecording,
+    folder: Path,
+    size: tuple[int, int],
+    maximum: float,
+    told: Callable[[int], None],
+) -> TrialResult:
+    """One trial's videos; `told` hears how many pictures are done."""
+    video = folder / f"{recording.name}.mp4"
+    write_video(
+        recording,
+        video,
+        stress_max=maximum,
+        width=size[0],
+        height=size[1],
+        progress=lambda frame, _: told(frame),
+    )
+    return TrialResult(recording, trial_metrics(recording), video, _camera_video(recording, folder))
+
+
+def _in_processes(
+    jobs: Sequence[tuple[TrialRecording, Path, tuple[int, int], float]],
+    processes: int,
+    tell: Callable[[int, str], None],
+) -> list[TrialResult]:
+    """The same in processes of their own: a picture is drawn by one thread."""
+    context = multiprocessing.get_context("spawn")
+    pictures = context.Value("l", 0)
+    with ProcessPoolExecutor(processes, context, _count_in, (pictures,)) as pool:
+        futures = [pool.submit(_render_counted, *job) for job in jobs]
+        pending = set(futures)
+        while pending:
+            done, pending = wait(pending, PROGRESS_PERIOD, return_when=FIRST_EXCEPTION)
+            failed = next((f for f in done if f.exception() is not None), None)
+            if failed is not None:
+                pool.shutdown(cancel_futures=True)
+                failed.result()
+            tell(pictures.value, f"{len(jobs) - len(pending)} of {len(jobs)} videos done")
+        return [future.result() for future in futures]
+
+
+def _count_in(pictures: Any) -> None:
+    global _pictures
+    _pictures = pictures
+
+
+def _render_counted(
+    recording: TrialRecording, folder: Path, size: tuple[int, int], maximum: float
+) -> TrialResult:
+    """`_render` in a process of the pool."""
+    counted = 0
+
+    def told(frame: int) -> None:
+        nonlocal counted
+        with _pictures.get_lock():
+            _pictures.value += frame - counted
+        counted = frame
+
+    return _render(recording, folder, size, maximum, told)

@@ -308,6 +308,31 @@ def test_progress_goes_from_start_to_end(run):
     assert list(dict.fromkeys(names)) == [r.recording.name for r in report.trials]
 
 
+def test_two_processes_make_the_same(run, tmp_path):
+    _, report, _ = run
+    seen = []
+    bags = [r.recording.bag for r in report.trials]
+    again = codesign_report.build(
+        tmp_path, bags, lambda *step: seen.append(step), size=SIZE, processes=2
+    )
+    for one, other in zip(report.trials, again.trials, strict=True):
+        assert repr(one.metrics) == repr(other.metrics)  # NaN equals nothing
+        assert one.video.read_bytes() == other.video.read_bytes()
+    done, totals, words = zip(*seen, strict=True)
+    assert list(done) == sorted(done)
+    assert done[-1] == totals[-1]
+    assert words[-1] == "3 of 3 videos done"
+
+
+def test_a_video_that_fails_in_its_process_is_an_error(run, tmp_path):
+    _, report, _ = run
+    (tmp_path / "round-seed0.mp4").mkdir()
+    with pytest.raises(OSError, match="round-seed0"):
+        codesign_report.build(
+            tmp_path, [r.recording.bag for r in report.trials], size=SIZE, processes=2
+        )
+
+
 def test_build_of_chosen_bags(run, tmp_path):
     folder, _, _ = run
     report = codesign_report.build(tmp_path, [folder / "round-seed1"], size=SIZE)
