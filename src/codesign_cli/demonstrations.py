@@ -24,7 +24,7 @@ class Format(StrEnum):
 def demonstrate(
     out: Annotated[Path, typer.Option(help="Folder to write: a Minari dataset.")],
     space: Annotated[str, typer.Option(help="Design space: base mesh and handles.")] = "lip-12",
-    tets: Annotated[int, typer.Option(help="Resolution of the block: 600 or 2400.")] = 600,
+    tets: Annotated[int, typer.Option(help="Resolution of the block: 600 or 2400.")] = 2400,
     seed: Annotated[int, typer.Option(min=0, help="Of fits and block.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
@@ -42,8 +42,8 @@ def demonstrate(
     from rich.progress import Progress
 
     from codesign_policy.demonstrations import METADATA
-    from codesign_policy.expert_demonstrations import DemonstrationError
     from codesign_policy.expert_demonstrations import demonstrate as make
+    from codesign_policy.expert_plan import DemonstrationError
     from codesign_policy.files import require_replaceable
     from codesign_sim import SimulationError
 

@@ -116,6 +116,15 @@ def finetune(
     stress_factor: Annotated[
         float, typer.Option(min=0.0, help="On the weight of stress in the reward.")
     ] = 5.0,
+    lift_factor: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="On the weights of lifting and of being up: a low one leaves time."
+        ),
+    ] = 0.5,
+    expert: Annotated[
+        bool, typer.Option(help="Add the expert's grasps with these fingers to the demonstrations.")
+    ] = True,
     discount: Annotated[
         float,
         typer.Option(
@@ -135,7 +144,7 @@ def finetune(
 
     Example: codesign policy finetune runs/codesign --out runs/codesign-tuned
     """
-    from codesign_policy.control_demonstrations import own_rows
+    from codesign_policy.control_demonstrations import fine_tuning_rows, own_rows
     from codesign_policy.run import load_run, make_training
 
     with _errors("finetune"):
@@ -152,13 +161,14 @@ def finetune(
                 transitions=transitions,
                 tetrahedra=tets,
                 stress_factor=stress_factor,
+                lift_factor=lift_factor,
                 discount=discount,
                 seed=seed,
                 lanes=lanes,
                 command=shlex.join(["codesign", *sys.argv[1:]]),
                 commit=_commit(),
             )
-            rows = own_rows(agent, config)
+            rows = (fine_tuning_rows if expert else own_rows)(agent, config)
             config = replace(config, demonstrations=len(rows))
             training = make_training(config, rows, agent)
             config.save(out)
@@ -289,7 +299,7 @@ def _started(
     config: RunConfig, source: Path | None, without: bool, scalar: bool
 ) -> tuple[Training, RunConfig]:
     """A new run with its demonstrations."""
-    from codesign_policy.control_demonstrations import scripted_rows
+    from codesign_policy.control_demonstrations import nominal_rows
     from codesign_policy.run import make_training, principal_direction, shown_rows
 
     if scalar and (without or not config.space):
@@ -303,7 +313,7 @@ def _started(
         if scalar:
             config = replace(config, design_direction=principal_direction(shown.designs))
     else:
-        rows = scripted_rows(config)
+        rows = nominal_rows(config)
     config = replace(config, demonstrations=len(rows))
     return make_training(config, rows), config
 
@@ -495,7 +505,7 @@ def _print_evaluation(name: str, found: Evaluation) -> None:
 @contextmanager
 def _errors(command: str) -> Iterator[None]:
     """What can go wrong, as exit codes."""
-    from codesign_policy.expert_demonstrations import DemonstrationError
+    from codesign_policy.expert_plan import DemonstrationError
     from codesign_policy.rlpd import LearningError
     from codesign_sim import SimulationError
 

@@ -1,4 +1,4 @@
-"""Demonstrations of control alone: with given fingers, by the script or by a trained policy."""
+"""Demonstrations of control alone: with given fingers, by the expert or by a trained policy."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,36 +8,41 @@ from numpy.typing import NDArray
 
 from codesign_policy.codesign_env import COMPONENTS
 from codesign_policy.domain import FRICTION
-from codesign_policy.expert_demonstrations import SETTLE_TIME, DemonstrationError
-from codesign_policy.finger_plan import plan_for
+from codesign_policy.expert_plan import DemonstrationError, best_plan
+from codesign_policy.reactive import ReactiveLanes
 from codesign_policy.replay import ReplayBuffer, Transitions
 from codesign_policy.rlpd import Agent
-from codesign_policy.rollout import ScriptedLanes
 from codesign_policy.rounds import Episodes, play_round
 from codesign_policy.run import RunConfig, fingers_of, make_episodes
 
-SCRIPTED = 3  # episodes, as many as there are demonstrated designs: 600 transitions
+FINE = 2400  # tetrahedra
+SHOWN = 3  # episodes, as many as there are demonstrated designs: 600 transitions
 
 
-def scripted_rows(config: RunConfig) -> ReplayBuffer:
-    """Scripted grasps with the run's fingers, seeds 0, 1, 2, at the friction they are planned for.
+def expert_rows(config: RunConfig, episodes: int = SHOWN) -> ReplayBuffer:
+    """Grasps of the expert with the run's fingers that succeed, at the gap that suits them best.
+
+    Args:
+        config: the run's; block, friction and error of the pose are drawn as in it.
+        episodes: that are played, from the run's seed up.
 
     Raises:
-        DemonstrationError: one of them fails.
-        ValueError: the run's fingers do not allow the script.
+        DemonstrationError: none succeeds, or fingers that the expert cannot use.
+        ValueError: a design that cannot be used.
     """
     fingers = fingers_of(config.space, config.design)
-    plan = replace(plan_for(fingers), settle_time=SETTLE_TIME)
-    # On a coarse block, and seen where it is: what is demonstrated is the motion.
-    simple = replace(config, tetrahedra=600, friction=(FRICTION, FRICTION), pose_error=0.0)
-    episodes = make_episodes(simple, SCRIPTED)
-    script = ScriptedLanes([fingers] * SCRIPTED, [plan] * SCRIPTED)
-    rows, success = _played(config, episodes, script.act, seed=0)  # type: ignore[arg-type]
-    if not success.all():
-        raise DemonstrationError(
-            f"scripted grasps with {fingers.name!r}: {int(success.sum())} of {SCRIPTED} succeed"
-        )
-    return rows
+    plan, _ = best_plan(fingers, config.tetrahedra, config.seed)
+    expert = ReactiveLanes([fingers] * episodes, [plan] * episodes)
+    rows, success = _played(config, make_episodes(config, episodes), expert.act)  # type: ignore
+    if not success.any():
+        raise DemonstrationError(f"none of {episodes} grasps with {fingers.name!r} succeeds")
+    return _copy(rows, _kept(rows, success))
+
+
+def nominal_rows(config: RunConfig) -> ReplayBuffer:
+    """`expert_rows` under the conditions of demonstrated designs: friction 0.5, no error, fine."""
+    nominal = replace(config, tetrahedra=FINE, friction=(FRICTION, FRICTION), pose_error=0.0)
+    return expert_rows(nominal)
 
 
 def own_rows(agent: Agent, config: RunConfig) -> ReplayBuffer:
@@ -47,31 +52,51 @@ def own_rows(agent: Agent, config: RunConfig) -> ReplayBuffer:
         DemonstrationError: none does.
     """
     rows, success = _played(
-        config, make_episodes(config), lambda seen: agent.act(seen, explore=False), config.seed
+        config, make_episodes(config), lambda seen: agent.act(seen, explore=False)
     )
     if not success.any():
         raise DemonstrationError(
             f"none of {config.lanes} episodes of the policy succeeds at {config.tetrahedra} "
             "tetrahedra: train it longer first"
         )
-    kept = np.flatnonzero(success[np.arange(len(rows)) % config.lanes])  # lanes take turns in rows
-    return _copy(rows, rows.rows.pick(kept))
+    return _copy(rows, _kept(rows, success))
+
+
+def fine_tuning_rows(agent: Agent, config: RunConfig) -> ReplayBuffer:
+    """Pseudo-demonstrations of the policy, and as many grasps of the expert with these fingers.
+
+    Where the expert cannot use the fingers, the policy's own alone.
+
+    Raises:
+        DemonstrationError: no episode of the policy succeeds.
+    """
+    own = own_rows(agent, config)
+    try:
+        shown = expert_rows(config, config.lanes)
+    except DemonstrationError:
+        return own
+    return _copy(own, own.rows, shown.rows)
 
 
 def _played(
     config: RunConfig,
     episodes: Episodes,
     act: Callable[[NDArray[np.float32]], NDArray[np.float32]],
-    seed: int,
 ) -> tuple[ReplayBuffer, NDArray[np.bool_]]:
     """One episode in every lane: its rows, and which lanes succeeded."""
     lanes = episodes.environment.num_envs
     rows = ReplayBuffer(config.spaces, COMPONENTS, lanes * config.control().episode_steps)
-    played = play_round(episodes, seed, act, rows)
+    played = play_round(episodes, config.seed, act, rows)
     return rows, played.metrics["success"].astype(bool)
 
 
-def _copy(rows: ReplayBuffer, kept: Transitions) -> ReplayBuffer:
-    buffer = ReplayBuffer(rows.spaces, rows.components, len(kept.in_control))
-    buffer.insert(kept)
+def _kept(rows: ReplayBuffer, success: NDArray[np.bool_]) -> Transitions:
+    """Rows of the lanes that succeeded; lanes take turns in rows."""
+    return rows.rows.pick(np.flatnonzero(success[np.arange(len(rows)) % len(success)]))
+
+
+def _copy(like: ReplayBuffer, *parts: Transitions) -> ReplayBuffer:
+    buffer = ReplayBuffer(like.spaces, like.components, sum(len(p.in_control) for p in parts))
+    for part in parts:
+        buffer.insert(part)
     return buffer

@@ -1,9 +1,8 @@
-"""Making demonstrations: each expert's inverse design, and the best scripted grasp with it."""
+"""Making demonstrations: each expert's inverse design, and the best grasp with it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,43 +14,32 @@ from codesign_policy.codesign_env import COMPONENTS, CodesignEnv, built_design
 from codesign_policy.control_env import ControlConfig
 from codesign_policy.demonstrations import Demonstration, Demonstrations, empty_rows
 from codesign_policy.domain import draw_domain
-from codesign_policy.finger_plan import LEAST_LIP, plan_for
+from codesign_policy.expert_plan import DemonstrationError, best_plan
+from codesign_policy.reactive import ReactiveLanes
 from codesign_policy.replay import ReplayBuffer
-from codesign_policy.rollout import ScriptedLanes
 from codesign_policy.rounds import Episodes, Played, play_round
 from codesign_policy.scripted import GraspPlan
-from codesign_policy.simulated_fingers import lip
 
 EXPERTS = ("flat_pad", "cupped_pad", "scoop")
 # Of an expert's outline, fits mind these places most, (2, 3) corners [m]: the scoop's lip.
 REGIONS = {"scoop": np.array([[-0.035, -0.001, SCOOP_TIP - 0.004], [0.035, 0.012, SCOOP_TIP]])}
 RESTARTS = 24  # of a fit
-GAPS = 16  # that are tried
-PAD_STEP, LIP_STEP = 2.5e-4, 1e-3  # m, between them: lips hold in a much wider range than pads
-TIGHTER = {PAD_STEP: 8, LIP_STEP: 2}  # steps from the planned gap to the first one
-SETTLE_TIME = 0.4  # s; with the script's 0.8 s slow closing would not leave 1 s to hold
 METRICS = ("success", "top10_stress", "median_stress")
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of all work that is done, 0 to 1."""
 
 
-class DemonstrationError(RuntimeError):
-    """An expert's inverse design makes no fingers, or they do not pick the block up."""
-
-
 def demonstrate(
     space: str,
     experts: Sequence[str] = EXPERTS,
-    tetrahedra: int = 600,
+    tetrahedra: int = 2400,
     seed: int = 0,
     progress: Progress = lambda what, share: None,
 ) -> Demonstrations:
     """Fits every expert's finger in the space, finds its best gap and records one grasp of each.
 
-    The grasp is the scripted one that suits the fitted finger; of `GAPS` around the planned one it
-    closes to that with the least top-10 % stress among those that succeed, as do a step tighter
-    and a step wider.
+    The grasp is the reactive one, with the gap that suits the fitted finger best (`best_plan`).
 
     Args:
         space: name of the design space.
@@ -69,12 +57,11 @@ def demonstrate(
         return lambda share: progress(what, (number + share) / (2 * len(experts) + 1))
 
     config = ControlConfig(tetrahedra=tetrahedra, domain=draw_domain(seed))
-    sweep = CodesignEnv(space, GAPS, config=config)
     fits, plans, holding = [], [], []
     for k, name in enumerate(experts):
         fits.append(_fitted(space, name, seed, part(f"fitting {name}", 2 * k)))
         part(f"grasping with {name}", 2 * k + 1)(0.0)
-        plan, gaps = _best_plan(sweep, name, fits[-1][0], seed)
+        plan, gaps = _best_plan(space, name, fits[-1][0], tetrahedra, seed)
         plans.append(plan)
         holding.append(gaps)
     part("recording", 2 * len(experts))(0.0)
@@ -119,32 +106,16 @@ def _fitted(
 
 
 def _best_plan(
-    env: CodesignEnv, expert: str, design: NDArray[np.float32], seed: int
+    space: str, expert: str, design: NDArray[np.float32], tetrahedra: int, seed: int
 ) -> tuple[GraspPlan, int]:
     """The plan with the best gap, and how many of the gaps succeed."""
-    built = built_design(env.space, tuple(design.astype(np.float64).tolist()))
+    built = built_design(space, tuple(design.astype(np.float64).tolist()))
     if built.fingers is None:
-        raise DemonstrationError(f"{expert} in {env.space}: {'; '.join(built.problems)}")
+        raise DemonstrationError(f"{expert} in {space}: {'; '.join(built.problems)}")
     try:
-        plan = replace(plan_for(built.fingers), settle_time=SETTLE_TIME)
-    except ValueError as error:
-        raise DemonstrationError(f"{expert} in {env.space}: {error}") from error
-    step = LIP_STEP if lip(built.fingers) > LEAST_LIP else PAD_STEP
-    offsets = step * (np.arange(GAPS) - TIGHTER[step])
-    widths = np.maximum(plan.width + offsets, built.fingers.min_width)
-    plans = [replace(plan, width=round(float(width), 6)) for width in widths]
-    rows = empty_rows(env.space, len(plans) * (1 + env.config.episode_steps))
-    played = _play(env, np.tile(design, (len(plans), 1)), plans, seed, rows)
-    success = played.metrics["success"].astype(bool)
-    safe = success[1:-1] & success[:-2] & success[2:]
-    if not safe.any():
-        raise DemonstrationError(
-            f"{expert} in {env.space}: no gap from {1e3 * widths[0]:.2f} to "
-            f"{1e3 * widths[-1]:.2f} mm lifts the block, with a margin of {1e3 * step:g} mm: fit "
-            "it in another space"
-        )
-    stress = np.where(safe, played.metrics["top10_stress"][1:-1], np.inf)
-    return plans[1 + int(stress.argmin())], int(success.sum())
+        return best_plan(built.fingers, tetrahedra, seed)
+    except DemonstrationError as error:
+        raise DemonstrationError(f"{expert} in {space}: {error}; fit it in another space") from None
 
 
 def _play(
@@ -154,8 +125,8 @@ def _play(
     seed: int,
     rows: ReplayBuffer,
 ) -> Played:
-    """One scripted grasp in every lane."""
+    """One grasp in every lane."""
     env.reset(seed=seed, options={"designs": designs})  # so that the fingers are known
-    script = ScriptedLanes(env.fingers, plans)
+    script = ReactiveLanes(env.fingers, plans)
     episodes = Episodes(env, COMPONENTS, METRICS, env.design_observation)
     return play_round(episodes, seed, script.act, rows, designs)  # type: ignore[arg-type]

@@ -33,6 +33,8 @@ class Preset:
             actor, per update of that; 1: they are the same.
         imitation: weight of staying close to demonstrated actions, in units of the values' size;
             it counts only where the critics think more of them than of the actor's own.
+        mean_rounds: whether every second round is played without exploration; it is these by which
+            a search judges designs.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Preset:
     design_std_range: tuple[float, float]
     actor_average: float
     imitation: float
+    mean_rounds: bool
 
 
 # RLPD as published: Ball et al. 2023 and its code, github.com/ikostrikov/rlpd. The entropy
@@ -88,6 +91,7 @@ PUBLISHED = Preset(
     design_std_range=(1e-4, 0.5),
     actor_average=1.0,
     imitation=0.0,
+    mean_rounds=False,
 )
 
 # For two cores, where the simulator is far faster than the learner: few small critics, and a
@@ -119,6 +123,7 @@ FAST = Preset(
     design_std_range=(0.02, 0.1),
     actor_average=0.002,
     imitation=1.0,
+    mean_rounds=True,
 )
 
 PRESETS = {preset.name: preset for preset in (PUBLISHED, FAST)}

@@ -17,7 +17,7 @@ from codesign_policy.reward import ALPHA
 from codesign_policy.rlpd import Agent
 
 Array = NDArray[np.float32]
-STRESS_SCALE = 1000.0  # Pa of `fitness` that outweigh one success
+STRESS_SCALE = 1000.0  # Pa, at which stress costs half of what it can cost in `fitness`
 RECENT = 2  # generations whose fitness still says something: the controller goes on learning
 DESIGN_BOUND = 0.9  # designs stay within; demonstrations are fitted within 0.75
 
@@ -65,13 +65,13 @@ class SearchSettings:
     """How designs are searched for.
 
     Attributes:
-        rounds: that a generation of designs is kept: building fingers costs as much as an episode.
+        rounds: that judge a generation of designs (and as many that explore): building fingers costs as much as an episode.
         practice: generations around the start alone, while the controller learns to grasp at all:
             outcomes say little about designs before it does.
         spread: standard deviation of the first designs [96 mm of a handle's way].
     """
 
-    rounds: int = 4
+    rounds: int = 2
     practice: int = 4
     spread: float = 0.02
 
@@ -192,7 +192,6 @@ def fitness(metrics: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     success = np.nan_to_num(metrics["success"])
     lift = np.clip(np.nan_to_num(metrics["peak_lift"]) / SUCCESS_LIFT, 0.0, 1.0)
     stress = ALPHA * metrics["top10_stress"] + (1.0 - ALPHA) * metrics["median_stress"]
-    stress = stress / STRESS_SCALE
     # Fingers that never touch the block are worth no more than those that crush it.
-    stress = np.where(np.isfinite(stress), np.clip(stress, 0.0, 1.0), 1.0)
-    return success + 0.5 * lift - stress
+    cost = np.where(np.isfinite(stress), stress / (stress + STRESS_SCALE), 1.0)
+    return success + 0.5 * lift - 1.5 * cost

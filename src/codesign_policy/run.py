@@ -62,6 +62,7 @@ class RunConfig:
         friction: range that it is drawn from.
         pose_error: of the observed object [m].
         stress_factor: on the weight of stress in the reward.
+        lift_factor: on the weights of lift and of being held up.
         demonstrations: rows of demonstrations, 0 for none; the checkpoint keeps them.
         command, commit: what made it.
     """
@@ -80,6 +81,7 @@ class RunConfig:
     friction: tuple[float, float] = (0.4, 0.6)
     pose_error: float = 0.001
     stress_factor: float = 1.0
+    lift_factor: float = 1.0
     demonstrations: int = 0
     command: str = ""
     commit: str = ""
@@ -104,8 +106,14 @@ class RunConfig:
     @property
     def weights(self) -> dict[str, float]:
         """Of the reward's `COMPONENTS`."""
-        stress = RewardWeights().stress * self.stress_factor
-        return reward_weights(replace(RewardWeights(), stress=stress))
+        plain = RewardWeights()
+        changed = replace(
+            plain,
+            lift=plain.lift * self.lift_factor,
+            held=plain.held * self.lift_factor,
+            stress=plain.stress * self.stress_factor,
+        )
+        return reward_weights(changed)
 
     def control(self) -> ControlConfig:
         """Of the environment."""
@@ -146,11 +154,11 @@ def make_episodes(config: RunConfig, lanes: int | None = None) -> Episodes:
         env = CodesignEnv(config.space, lanes, config=config.control())
         return Episodes(env, COMPONENTS, METRICS, env.design_observation)
     fingers = fingers_of(config.space, config.design)
-    return Episodes(_WithoutVoid(lanes, fingers, config.control()), COMPONENTS, METRICS)
+    return Episodes(GivenFingers(lanes, fingers, config.control()), COMPONENTS, METRICS)
 
 
-class _WithoutVoid(ControlEnv):
-    """Given fingers are never void: the component is there, so that all runs store the same."""
+class GivenFingers(ControlEnv):
+    """Fingers that are never void: the component is there, so that all runs store the same."""
 
     def __init__(self, lanes: int, fingers: FingerPair, config: ControlConfig) -> None:
         super().__init__(lanes, fingers, config, AutoresetMode.DISABLED)

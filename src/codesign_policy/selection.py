@@ -23,7 +23,7 @@ FINE = 2400  # tetrahedra: optima of the coarse block sit at the slip threshold
 EPISODES = 16  # of every candidate
 KEPT = 4  # candidates of each kind
 DRAWN = 512  # around the candidates, for the critics to choose from
-REFINING = SearchSettings(rounds=2, practice=0)  # once the controller is as it is
+REFINING = SearchSettings(practice=0)  # once the controller is as it is
 GENERATIONS = 12  # of that search
 _SHARE = 0.6  # of the time that it takes, for progress
 

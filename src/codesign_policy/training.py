@@ -190,10 +190,10 @@ class Training:
 
         designs = self.proposer.propose() if self.proposer else None
         seed = np.random.SeedSequence([self.config.seed, self._rounds]).generate_state(1)[0]
-        played = play_round(
-            self.episodes, int(seed % 2**31), self._act, self.experience, designs, learn
-        )
-        if self.proposer:
+        explores = self._explores
+        act = self._explore if explores else self.act
+        played = play_round(self.episodes, int(seed % 2**31), act, self.experience, designs, learn)
+        if self.proposer and not explores:
             self.proposer.judge(played.metrics)
         self._rounds += 1
         total = time.perf_counter() - began
@@ -207,7 +207,15 @@ class Training:
             return None
         return ActorProposals(self.agent, observation, self.episodes.environment.num_envs)
 
-    def _act(self, observation: Array) -> Array:
+    @property
+    def _explores(self) -> bool:
+        """Whether the coming round does; others are played as the policy will be served.
+
+        These show designs at their best: with noise a grasp at its edge slips.
+        """
+        return not self.agent.updates or bool(self._rounds % 2) or not self.agent.preset.mean_rounds
+
+    def _explore(self, observation: Array) -> Array:
         if self.agent.updates:
             return self.agent.act(observation, explore=True)
         shape = (len(observation), self.agent.spaces.control)
