@@ -33,7 +33,7 @@ def expert_rows(config: RunConfig, episodes: int = SHOWN) -> ReplayBuffer:
     fingers = fingers_of(config.space, config.design)
     plan, _ = best_plan(fingers, config.tetrahedra, config.seed)
     expert = ReactiveLanes([fingers] * episodes, [plan] * episodes)
-    rows, success = _played(config, make_episodes(config, episodes), expert.act)  # type: ignore
+    rows, success = _played(config, make_episodes(config, episodes), expert.act)
     if not success.any():
         raise DemonstrationError(f"none of {episodes} grasps with {fingers.name!r} succeeds")
     return _copy(rows, _kept(rows, success))

@@ -129,4 +129,4 @@ def _play(
     env.reset(seed=seed, options={"designs": designs})  # so that the fingers are known
     script = ReactiveLanes(env.fingers, plans)
     episodes = Episodes(env, COMPONENTS, METRICS, env.design_observation)
-    return play_round(episodes, seed, script.act, rows, designs)  # type: ignore[arg-type]
+    return play_round(episodes, seed, script.act, rows, designs)

@@ -65,7 +65,8 @@ class SearchSettings:
     """How designs are searched for.
 
     Attributes:
-        rounds: that judge a generation of designs (and as many that explore): building fingers costs as much as an episode.
+        rounds: without exploration that judge a generation of designs, which is kept for as many
+            with it: building fingers costs as much as an episode.
         practice: generations around the start alone, while the controller learns to grasp at all:
             outcomes say little about designs before it does.
         spread: standard deviation of the first designs [96 mm of a handle's way].
@@ -183,7 +184,8 @@ class DesignSearch:
 def fitness(metrics: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     """What a design's episode is worth: success, and little stress; a lift of some way counts half.
 
-    Top-10 % and median stress count as top-10 % and mean do in equation 1.
+    Top-10 % and median stress count as top-10 % and mean do in equation 1, with a cost that goes on
+    growing, ever more slowly, to 1.5: what success and lift together are worth.
 
     Args:
         metrics: "success", "peak_lift" [m], "top10_stress" and "median_stress" [Pa], (E,) each;

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from codesign_design.finger_pair import FingerPair
 from codesign_policy.domain import BLOCK_SIZE
 from codesign_policy.scripted import GraspPlan
-from codesign_policy.task import MAX_TRANSLATION, MAX_WIDTH_CHANGE, ControlAction, Observation
+from codesign_policy.task import (
+    MAX_TRANSLATION,
+    MAX_WIDTH_CHANGE,
+    POLICY_PERIOD,
+    ControlAction,
+    Observation,
+)
 
 GAIN = 0.25  # of an error, per policy period; arm and gripper lag by about one
 PRESS = (
@@ -71,7 +77,7 @@ class ReactiveGrasp:
 
     def _gap(self, width: float, closing: float) -> float:
         """Change of the gap [m]."""
-        close_step = self.plan.close_speed / 20.0
+        close_step = self.plan.close_speed * POLICY_PERIOD
         shut = np.clip(GAIN * (self.plan.width - width), -close_step, close_step)
         opened = np.clip(GAIN * (self.plan.open_width - width), -MAX_WIDTH_CHANGE, MAX_WIDTH_CHANGE)
         return float(closing * shut + (1.0 - closing) * opened)
@@ -93,14 +99,10 @@ class ReactiveLanes:
             for pair, plan in zip(fingers, plans, strict=True)
         ]
 
-    def restart(self, lanes: NDArray[np.bool_]) -> None:
-        """It remembers nothing."""
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Each lane's next action."""
-        return np.stack(
-            [
-                expert.act(Observation.from_normalised(seen)).normalised()
-                for expert, seen in zip(self._experts, observations, strict=True)
-            ]
-        )
+        actions = [
+            expert.act(Observation.from_normalised(seen)).normalised()
+            for expert, seen in zip(self._experts, observations, strict=True)
+        ]
+        return np.array(actions, np.float32)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from codesign_design.design_space import design_space
-from codesign_policy import expert_demonstrations
+from codesign_policy import expert_demonstrations, expert_plan
 from codesign_policy.codesign_env import COMPONENTS
 from codesign_policy.demonstrations import Demonstrations, load_demonstrations
-from codesign_policy.expert_demonstrations import DemonstrationError, demonstrate
+from codesign_policy.expert_demonstrations import demonstrate
+from codesign_policy.expert_plan import DemonstrationError
 from codesign_policy.task import physical_observations
 
 SPACE = "box-12"
@@ -21,10 +22,10 @@ def made() -> Demonstrations:
     """A flat pad twice, with a quick fit and few gaps."""
     patch = pytest.MonkeyPatch()
     patch.setattr(expert_demonstrations, "RESTARTS", 4)
-    patch.setattr(expert_demonstrations, "GAPS", 4)
-    patch.setattr(expert_demonstrations, "TIGHTER", {2.5e-4: 4})
+    patch.setattr(expert_plan, "GAPS", 6)
+    patch.setattr(expert_plan, "TIGHTER", {2.5e-4: 5})
     try:
-        return demonstrate(SPACE, experts=("flat_pad", "flat_pad"))
+        return demonstrate(SPACE, experts=("flat_pad", "flat_pad"), tetrahedra=600)
     finally:
         patch.undo()
 
@@ -65,7 +66,7 @@ def test_fingers_that_never_lift_are_an_error(
 ) -> None:
     parameters = np.array(made.episodes[0].parameters, np.float32)
     monkeypatch.setattr(expert_demonstrations, "_fitted", lambda *given: (parameters, 0.0))
-    monkeypatch.setattr(expert_demonstrations, "GAPS", 4)
-    monkeypatch.setattr(expert_demonstrations, "TIGHTER", {2.5e-4: -6})  # all of them too wide
-    with pytest.raises(DemonstrationError, match="flat_pad in box-12: no gap from"):
-        demonstrate(SPACE, experts=("flat_pad",))
+    monkeypatch.setattr(expert_plan, "GAPS", 4)
+    monkeypatch.setattr(expert_plan, "TIGHTER", {2.5e-4: -6})  # all of them too wide
+    with pytest.raises(DemonstrationError, match=r"flat_pad in box-12: fingers .*no gap from"):
+        demonstrate(SPACE, experts=("flat_pad",), tetrahedra=600)

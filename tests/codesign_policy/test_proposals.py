@@ -94,5 +94,6 @@ def test_fitness_is_success_lift_and_stress() -> None:
             "median_stress": np.array([200.0, 500.0, 900.0, np.nan]),
         }
     )
-    first, second = 0.8 * 0.6 + 0.2 * 0.2, 0.8 * 0.9 + 0.2 * 0.5  # kPa, as in equation 1
-    np.testing.assert_allclose(found, [1.5 - first, 0.25 - second, -1.0, -1.0])
+    kpa = [0.8 * 0.6 + 0.2 * 0.2, 0.8 * 0.9 + 0.2 * 0.5, 0.8 * 9.0 + 0.2 * 0.9]  # as equation 1
+    cost = [1.5 * stress / (1.0 + stress) for stress in kpa]
+    np.testing.assert_allclose(found, [1.5 - cost[0], 0.25 - cost[1], -cost[2], -1.5])

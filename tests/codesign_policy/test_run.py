@@ -5,13 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from codesign_policy.codesign_env import COMPONENTS
-from codesign_policy.control_demonstrations import own_rows, scripted_rows
-from codesign_policy.expert_demonstrations import DemonstrationError
+from codesign_policy.control_demonstrations import (
+    expert_rows,
+    fine_tuning_rows,
+    nominal_rows,
+    own_rows,
+)
+from codesign_policy.expert_plan import DemonstrationError
 from codesign_policy.presets import FAST
-from codesign_policy.replay import Spaces
+from codesign_policy.replay import ReplayBuffer, Spaces
 from codesign_policy.reward import RewardWeights
 from codesign_policy.rlpd import Agent
 from codesign_policy.run import (
@@ -54,8 +59,15 @@ def test_stress_weighs_more_in_fine_tuning() -> None:
     assert set(RunConfig().weights) == set(COMPONENTS)
 
 
-def test_the_stock_fingers_are_demonstrated_by_the_script() -> None:
-    rows = scripted_rows(STOCK)
+def test_less_time_pressure_in_fine_tuning() -> None:
+    plain, tuned = RunConfig().weights, RunConfig(lift_factor=0.5).weights
+    assert tuned.pop("lift") == 0.5 * plain.pop("lift")
+    assert tuned.pop("held") == 0.5 * plain.pop("held")
+    assert tuned == plain
+
+
+def test_the_stock_fingers_are_demonstrated_by_the_expert() -> None:
+    rows = nominal_rows(STOCK)
     assert len(rows) == 600
     assert rows.rows.in_control.all()
     assert rows.rows.truncated.sum() == 3
@@ -70,6 +82,27 @@ def test_a_policy_that_fails_demonstrates_nothing() -> None:
     agent = Agent(STOCK.spaces, FAST, 0)
     with pytest.raises(DemonstrationError, match="none of 4 episodes"):
         own_rows(agent, STOCK)
+
+
+def test_fine_tuning_learns_from_policy_and_expert(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The expert's part is left out where it cannot use the fingers."""
+    config = replace(STOCK, tetrahedra=600)
+    shown = expert_rows(config, 4)
+
+    def expert_as_policy(agent: Agent, config: RunConfig) -> ReplayBuffer:
+        return shown
+
+    monkeypatch.setattr("codesign_policy.control_demonstrations.own_rows", expert_as_policy)
+    agent = Agent(STOCK.spaces, FAST, 0)
+    rows = fine_tuning_rows(agent, config)
+    assert len(rows) == 2 * len(shown)
+    assert_array_equal(rows.rows.action[: len(shown)], shown.rows.action)
+
+    def none(fingers: object, tetrahedra: int, seed: int) -> None:
+        raise DemonstrationError("no gap")
+
+    monkeypatch.setattr("codesign_policy.control_demonstrations.best_plan", none)
+    assert fine_tuning_rows(agent, config) is shown
 
 
 def test_designs_start_at_the_gentlest_demonstration() -> None:
