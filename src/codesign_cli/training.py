@@ -104,6 +104,7 @@ def train(
             training, config = _started(
                 config, demonstrations, without_demonstrations, design_observation == "scalar"
             )
+            training.clone_demonstrations()
             config.save(out)
         _run(training, config, out, quiet)
 
@@ -123,7 +124,7 @@ def finetune(
         ),
     ] = 0.5,
     expert: Annotated[
-        bool, typer.Option(help="Add the expert's grasps with these fingers to the demonstrations.")
+        bool, typer.Option(help="Whether the expert demonstrates as well, with these fingers.")
     ] = True,
     discount: Annotated[
         float,
@@ -138,13 +139,14 @@ def finetune(
 ) -> None:
     """Fine-tune a run's control with its design fixed (paper, III-D).
 
-    The policy's own successful episodes are the demonstrations, and stress weighs more.
+    The demonstrations are the gentlest of the policy's own episodes and of the expert's with these
+    fingers. Stress weighs more, being up less.
 
     Exit codes: as of `train`.
 
     Example: codesign policy finetune runs/codesign --out runs/codesign-tuned
     """
-    from codesign_policy.control_demonstrations import fine_tuning_rows, own_rows
+    from codesign_policy.control_demonstrations import gentlest_rows, own_rows
     from codesign_policy.run import load_run, make_training
 
     with _errors("finetune"):
@@ -168,9 +170,10 @@ def finetune(
                 command=shlex.join(["codesign", *sys.argv[1:]]),
                 commit=_commit(),
             )
-            rows = (fine_tuning_rows if expert else own_rows)(agent, config)
+            rows = gentlest_rows(agent, config) if expert else own_rows(agent, config)
             config = replace(config, demonstrations=len(rows))
             training = make_training(config, rows, agent)
+            training.clone_demonstrations()
             config.save(out)
         _run(training, config, out, quiet)
 

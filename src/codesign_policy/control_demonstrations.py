@@ -1,7 +1,7 @@
 """Demonstrations of control alone: with given fingers, by the expert or by a trained policy."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,10 @@ def expert_rows(config: RunConfig, episodes: int = SHOWN) -> ReplayBuffer:
         DemonstrationError: none succeeds, or fingers that the expert cannot use.
         ValueError: a design that cannot be used.
     """
-    fingers = fingers_of(config.space, config.design)
-    plan, _ = best_plan(fingers, config.tetrahedra, config.seed)
-    expert = ReactiveLanes([fingers] * episodes, [plan] * episodes)
-    rows, success = _played(config, make_episodes(config, episodes), expert.act)
-    if not success.any():
-        raise DemonstrationError(f"none of {episodes} grasps with {fingers.name!r} succeeds")
-    return _copy(rows, _kept(rows, success))
+    shown = _expert_episodes(config, episodes)
+    if not shown:
+        raise DemonstrationError(f"none of {episodes} grasps of the expert succeeds")
+    return _together(config, shown)
 
 
 def nominal_rows(config: RunConfig) -> ReplayBuffer:
@@ -51,52 +48,69 @@ def own_rows(agent: Agent, config: RunConfig) -> ReplayBuffer:
     Raises:
         DemonstrationError: none does.
     """
-    rows, success = _played(
-        config, make_episodes(config), lambda seen: agent.act(seen, explore=False)
-    )
-    if not success.any():
-        raise DemonstrationError(
-            f"none of {config.lanes} episodes of the policy succeeds at {config.tetrahedra} "
-            "tetrahedra: train it longer first"
-        )
-    return _copy(rows, _kept(rows, success))
+    return _together(config, _own_episodes(agent, config))
 
 
-def fine_tuning_rows(agent: Agent, config: RunConfig) -> ReplayBuffer:
-    """Pseudo-demonstrations of the policy, and as many grasps of the expert with these fingers.
+def gentlest_rows(agent: Agent, config: RunConfig) -> ReplayBuffer:
+    """Of the policy's and the expert's episodes with these fingers the half with the least stress.
 
     Where the expert cannot use the fingers, the policy's own alone.
 
     Raises:
         DemonstrationError: no episode of the policy succeeds.
     """
-    own = own_rows(agent, config)
+    played = _own_episodes(agent, config)
     try:
-        shown = expert_rows(config, config.lanes)
+        played += _expert_episodes(config, config.lanes)
     except DemonstrationError:
-        return own
-    return _copy(own, own.rows, shown.rows)
+        return _together(config, played)
+    played.sort(key=lambda episode: episode.stress)
+    return _together(config, played[: (len(played) + 1) // 2])
+
+
+@dataclass(frozen=True)
+class _Episode:
+    """One that succeeded: its rows, and top-10 % and median stress [Pa] added."""
+
+    rows: Transitions
+    stress: float
+
+
+def _expert_episodes(config: RunConfig, episodes: int) -> list[_Episode]:
+    fingers = fingers_of(config.space, config.design)
+    plan, _ = best_plan(fingers, config.tetrahedra, config.seed)
+    expert = ReactiveLanes([fingers] * episodes, [plan] * episodes)
+    return _played(config, make_episodes(config, episodes), expert.act)
+
+
+def _own_episodes(agent: Agent, config: RunConfig) -> list[_Episode]:
+    played = _played(config, make_episodes(config), lambda seen: agent.act(seen, explore=False))
+    if not played:
+        raise DemonstrationError(
+            f"none of {config.lanes} episodes of the policy succeeds at {config.tetrahedra} "
+            "tetrahedra: train it longer first"
+        )
+    return played
 
 
 def _played(
-    config: RunConfig,
-    episodes: Episodes,
-    act: Callable[[NDArray[np.float32]], NDArray[np.float32]],
-) -> tuple[ReplayBuffer, NDArray[np.bool_]]:
-    """One episode in every lane: its rows, and which lanes succeeded."""
+    config: RunConfig, episodes: Episodes, act: Callable[[NDArray[np.float32]], NDArray[np.float32]]
+) -> list[_Episode]:
+    """One episode in every lane, of which those that succeed."""
     lanes = episodes.environment.num_envs
     rows = ReplayBuffer(config.spaces, COMPONENTS, lanes * config.control().episode_steps)
-    played = play_round(episodes, config.seed, act, rows)
-    return rows, played.metrics["success"].astype(bool)
+    metrics = play_round(episodes, config.seed, act, rows).metrics
+    stress = metrics["top10_stress"] + metrics["median_stress"]
+    lane_of_row = np.arange(len(rows)) % lanes  # lanes take turns in rows
+    return [
+        _Episode(rows.rows.pick(lane_of_row == lane), float(stress[lane]))
+        for lane in np.flatnonzero(metrics["success"])
+    ]
 
 
-def _kept(rows: ReplayBuffer, success: NDArray[np.bool_]) -> Transitions:
-    """Rows of the lanes that succeeded; lanes take turns in rows."""
-    return rows.rows.pick(np.flatnonzero(success[np.arange(len(rows)) % len(success)]))
-
-
-def _copy(like: ReplayBuffer, *parts: Transitions) -> ReplayBuffer:
-    buffer = ReplayBuffer(like.spaces, like.components, sum(len(p.in_control) for p in parts))
-    for part in parts:
-        buffer.insert(part)
+def _together(config: RunConfig, episodes: Sequence[_Episode]) -> ReplayBuffer:
+    size = sum(len(episode.rows.in_control) for episode in episodes)
+    buffer = ReplayBuffer(config.spaces, COMPONENTS, size)
+    for episode in episodes:
+        buffer.insert(episode.rows)
     return buffer

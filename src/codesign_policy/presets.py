@@ -31,8 +31,8 @@ class Preset:
         design_std_range: its bounds.
         actor_average: rate at which the averaged actor, the one that is served, follows the control
             actor, per update of that; 1: they are the same.
-        imitation: weight of staying close to demonstrated actions, in units of the values' size;
-            it counts only where the critics think more of them than of the actor's own.
+        cloning: steps of regression to demonstrated actions that the control actor starts with.
+        imitation: weight of staying close to demonstrated actions, in units of the values' size.
         mean_rounds: whether every second round is played without exploration; it is these by which
             a search judges designs.
     """
@@ -59,6 +59,7 @@ class Preset:
     design_std: float
     design_std_range: tuple[float, float]
     actor_average: float
+    cloning: int
     imitation: float
     mean_rounds: bool
 
@@ -90,6 +91,7 @@ PUBLISHED = Preset(
     design_std=0.15,
     design_std_range=(1e-4, 0.5),
     actor_average=1.0,
+    cloning=0,
     imitation=0.0,
     mean_rounds=False,
 )
@@ -114,14 +116,15 @@ FAST = Preset(
     actor_period=2,
     backup_entropy=False,
     start_transitions=1000,
-    control_temperature=0.1,
-    control_entropy=-4.0,
+    control_temperature=0.01,
+    control_entropy=-8.0,
     design_temperature=0.01,
     design_entropy_per_parameter=None,
     design_temperature_range=(0.01, 0.01),
     design_std=0.05,
     design_std_range=(0.02, 0.1),
     actor_average=0.002,
+    cloning=3000,
     imitation=1.0,
     mean_rounds=True,
 )

@@ -35,6 +35,9 @@ from codesign_policy.task import ENCODED, encoded
 Stage = Literal["design", "control"]
 
 
+UNIT_ENTROPY = 0.5 * math.log(2.0 * math.pi * math.e)  # nats, of a normal number of spread 1
+CLONING_RATE = 1e-3  # of Adam
+SPREAD_WEIGHT = 0.01  # against the distance of means
 # Of the values that imitation is weighed against, while critics still answer nearly nothing.
 LEAST_VALUE = 3.0
 
@@ -61,7 +64,13 @@ class DesignChoice:
 
 
 class Agent:
-    """Critics, an actor and a temperature per stage, and how they learn."""
+    """Critics, an actor and a temperature per stage, and how they learn.
+
+    Attributes:
+        spaces, preset: as given.
+        updates: of the critics so far.
+        acts: whether the control actor has learned anything yet.
+    """
 
     def __init__(
         self,
@@ -84,7 +93,7 @@ class Agent:
         Raises:
             ValueError: a start design or direction of another size, or a start outside [-1, 1].
         """
-        self.spaces, self.preset, self.updates = spaces, preset, 0
+        self.spaces, self.preset, self.updates, self.acts = spaces, preset, 0, False
         self._random = torch.Generator().manual_seed(seed)
         start = np.zeros(spaces.design) if start_design is None else np.asarray(start_design)
         if start.shape != (spaces.design,) or not (np.abs(start) <= 1.0).all():
@@ -189,6 +198,40 @@ class Agent:
         best = int(bound.argmax())
         return DesignChoice(best, np.asarray(candidates[best], np.float32), bound, mean)
 
+    def clone(self, observation: NDArray[np.floating], action: NDArray[np.floating]) -> float:
+        """Starts the control actor from demonstrations: `preset.cloning` steps of regression.
+
+        Its spread becomes the one of the entropy that is aimed at.
+
+        Args:
+            observation: (n, o) of the control stage.
+            action: what was demonstrated there, (n, 7) in [-1, 1].
+
+        Returns:
+            Mean squared distance of its means to the actions, over the last batch.
+
+        Raises:
+            LearningError: a distance that is not finite.
+        """
+        actor = self.actors["control"]
+        seen, shown = self._seen(observation), _tensor(action)
+        log_std = self.preset.control_entropy / self.spaces.control - UNIT_ENTROPY
+        optimizer = torch.optim.Adam(actor.parameters(), lr=CLONING_RATE)
+        distance = torch.zeros(())
+        for _ in range(self.preset.cloning):
+            rows = torch.randint(len(seen), (self.preset.batch_size,), generator=self._random)
+            mean, spread = actor(seen[rows])
+            distance = (torch.tanh(mean) - shown[rows]).square().sum(-1).mean()
+            loss = distance + SPREAD_WEIGHT * (spread - log_std).square().mean()
+            if not math.isfinite(loss.item()):
+                raise LearningError(f"cloning: loss is {loss.item()}: look at the demonstrations")
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        self.averaged.load_state_dict(actor.state_dict())
+        self.acts = True
+        return distance.item()
+
     def update(self, batch: Batch) -> dict[str, float]:
         """One update of the critics; every `actor_period`-th time of actors and temperatures too.
 
@@ -205,6 +248,7 @@ class Agent:
         )
         log = self._update_critics(batch)
         self.updates += 1
+        self.acts = True
         if self.updates % self.preset.actor_period == 0:
             log |= self._update_actors(batch)
         return log
@@ -272,20 +316,16 @@ class Agent:
     def _imitation_loss(
         self, batch: Batch, rows: Tensor, mean: Tensor, value: Tensor, log: dict[str, float]
     ) -> Tensor:
-        """Squared distance to demonstrated actions, where the critics think more of them.
+        """Squared distance to demonstrated actions, in units of the values' size.
 
-        The filter is that of Nair et al. 2018 (section V-B), the scale by the values' size that
-        of TD3+BC (Fujimoto and Gu 2021).
+        As of TD3+BC (Fujimoto and Gu 2021).
         """
         shown = batch.demonstrated[rows]
-        action = batch.action[rows]
-        with torch.no_grad():
-            theirs = self.critics(batch.observation[rows], action).mean(dim=0)
-            better = shown & (theirs > value)
-        log["imitated"] = (better.sum() / shown.sum().clamp(min=1)).item()
-        error = (torch.tanh(mean) - action[:, self.spaces.design :]).square().sum(-1)
+        error = (torch.tanh(mean) - batch.action[rows, self.spaces.design :]).square().sum(-1)
+        distance = (shown * error).sum() / shown.sum().clamp(min=1)
+        log["distance_to_demonstrations"] = distance.item()
         scale = self.preset.imitation * value.detach().abs().mean().clamp(min=LEAST_VALUE)
-        return scale * (better * error).sum() / shown.sum().clamp(min=1)
+        return scale * distance
 
     def _descend(self, name: str, loss: Tensor) -> float:
         """One step of an optimizer down this loss; gradients of other parameters are not made."""
@@ -329,6 +369,7 @@ class Agent:
         """Everything that `restore` needs to go on bit for bit, as copies."""
         state = {
             "updates": self.updates,
+            "acts": self.acts,
             "random": self._random.get_state(),
             "networks": {name: net.state_dict() for name, net in self._networks.items()},
             "optimizers": {name: opt.state_dict() for name, opt in self._optimizers.items()},
@@ -348,7 +389,7 @@ class Agent:
         for name, optimizer in self._optimizers.items():
             optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
         self._random.set_state(state["random"])
-        self.updates = state["updates"]
+        self.updates, self.acts = state["updates"], state["acts"]
 
 
 @torch.no_grad()

@@ -136,6 +136,18 @@ class Training:
         """Whether the budget is used up."""
         return self._transitions >= self.config.transitions
 
+    def clone_demonstrations(self) -> None:
+        """Starts the control actor from them, where there are any: before the first round.
+
+        Raises:
+            LearningError: the regression went astray.
+        """
+        if self.demonstrations is None or not self.agent.preset.cloning:
+            return
+        rows = self.demonstrations.rows
+        control = rows.pick(rows.in_control)
+        self.agent.clone(control.observation, control.action[:, self.agent.spaces.design :])
+
     def run(
         self,
         folder: Path | None = None,
@@ -213,10 +225,11 @@ class Training:
 
         These show designs at their best: with noise a grasp at its edge slips.
         """
-        return not self.agent.updates or bool(self._rounds % 2) or not self.agent.preset.mean_rounds
+        mean_rounds = self.agent.preset.mean_rounds and self.agent.acts
+        return bool(self._rounds % 2) or not mean_rounds
 
     def _explore(self, observation: Array) -> Array:
-        if self.agent.updates:
+        if self.agent.acts:
             return self.agent.act(observation, explore=True)
         shape = (len(observation), self.agent.spaces.control)
         return self._random.uniform(-1.0, 1.0, shape).astype(np.float32)
