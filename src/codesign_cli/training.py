@@ -59,6 +59,14 @@ def train(
     without_demonstrations: Annotated[
         bool, typer.Option("--without-demonstrations", help="Online experience alone.")
     ] = False,
+    practice: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="More grasps of the expert, with fingers around the demonstrated ones, or with "
+            "the stock ones. 0 as in the paper.",
+        ),
+    ] = 32,
     resume: ResumeOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -102,7 +110,11 @@ def train(
         else:
             _require_new(out)
             training, config = _started(
-                config, demonstrations, without_demonstrations, design_observation == "scalar"
+                config,
+                demonstrations,
+                without_demonstrations,
+                design_observation == "scalar",
+                practice,
             )
             training.clone_demonstrations()
             config.save(out)
@@ -299,10 +311,13 @@ def show(
 
 
 def _started(
-    config: RunConfig, source: Path | None, without: bool, scalar: bool
+    config: RunConfig, source: Path | None, without: bool, scalar: bool, practice: int
 ) -> tuple[Training, RunConfig]:
     """A new run with its demonstrations."""
-    from codesign_policy.control_demonstrations import nominal_rows
+    from codesign_policy.control_demonstrations import expert_rows, nominal_rows
+    from codesign_policy.expert_demonstrations import practise
+    from codesign_policy.proposals import SearchSettings
+    from codesign_policy.replay import joined
     from codesign_policy.run import make_training, principal_direction, shown_rows
 
     if scalar and (without or not config.space):
@@ -311,12 +326,18 @@ def _started(
         return make_training(config, None), config
     if config.space:
         shown = shown_rows(config.space, source)
-        rows = shown.rows
         config = replace(config, start=shown.gentlest.parameters)
         if scalar:
             config = replace(config, design_direction=principal_direction(shown.designs))
+        rows = shown.rows
+        if practice:
+            spread = SearchSettings().spread
+            more = practise(shown, practice, config.control(), spread, config.seed)
+            rows = joined(rows, rows.rows, more)
     else:
         rows = nominal_rows(config)
+        if practice:
+            rows = joined(rows, rows.rows, expert_rows(config, practice).rows)
     config = replace(config, demonstrations=len(rows))
     return make_training(config, rows), config
 

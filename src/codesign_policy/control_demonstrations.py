@@ -10,7 +10,7 @@ from codesign_policy.codesign_env import COMPONENTS
 from codesign_policy.domain import FRICTION
 from codesign_policy.expert_plan import DemonstrationError, best_plan
 from codesign_policy.reactive import ReactiveLanes
-from codesign_policy.replay import ReplayBuffer, Transitions
+from codesign_policy.replay import ReplayBuffer, Transitions, joined
 from codesign_policy.rlpd import Agent
 from codesign_policy.rounds import Episodes, play_round
 from codesign_policy.run import RunConfig, fingers_of, make_episodes
@@ -109,8 +109,5 @@ def _played(
 
 
 def _together(config: RunConfig, episodes: Sequence[_Episode]) -> ReplayBuffer:
-    size = sum(len(episode.rows.in_control) for episode in episodes)
-    buffer = ReplayBuffer(config.spaces, COMPONENTS, size)
-    for episode in episodes:
-        buffer.insert(episode.rows)
-    return buffer
+    empty = ReplayBuffer(config.spaces, COMPONENTS, 1)
+    return joined(empty, *(episode.rows for episode in episodes))

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codesign_design.design_space import design_space
 from codesign_design.experts import SCOOP_TIP, expert_surface
+from codesign_design.finger_pair import FingerPair
 from codesign_design.inverse import FitOptions, fit
 from codesign_policy.codesign_env import COMPONENTS, CodesignEnv, built_design
 from codesign_policy.control_env import ControlConfig
 from codesign_policy.demonstrations import Demonstration, Demonstrations, empty_rows
 from codesign_policy.domain import draw_domain
 from codesign_policy.expert_plan import DemonstrationError, best_plan
+from codesign_policy.finger_plan import plan_for
+from codesign_policy.proposals import DESIGN_BOUND
 from codesign_policy.reactive import ReactiveLanes
-from codesign_policy.replay import ReplayBuffer
+from codesign_policy.replay import ReplayBuffer, Transitions
 from codesign_policy.rounds import Episodes, Played, play_round
 from codesign_policy.scripted import GraspPlan
 
@@ -86,6 +90,49 @@ def demonstrate(
     )
     part("done", 2 * len(experts))(1.0)
     return Demonstrations(space, episodes, _by_episode(rows, len(experts)))
+
+
+def practise(
+    shown: Demonstrations, episodes: int, config: ControlConfig, spread: float, seed: int
+) -> Transitions:
+    """More of the expert's grasps, with fingers scattered around the gentlest demonstrated ones.
+
+    What has been demonstrated once, on one block, says little about what to do beside it. Every
+    finger closes as far beyond its own planned gap as the demonstrated one did.
+
+    Args:
+        shown: demonstrations.
+        episodes: that are played, side by side.
+        config: block, friction and error of the pose of each are drawn as this says.
+        spread: standard deviation of the designs, as of a `DesignSearch`.
+        seed: of designs and blocks.
+
+    Returns:
+        Rows of both stages of the episodes that succeed, perhaps none.
+    """
+    centre = np.array(shown.gentlest.parameters)
+    noise = spread * np.random.default_rng([seed, 4]).normal(size=(episodes, len(centre)))
+    designs = np.clip(centre + noise, -DESIGN_BOUND, DESIGN_BOUND).astype(np.float32)
+    env = CodesignEnv(shown.space, episodes, config=config)
+    env.reset(seed=seed, options={"designs": designs})
+    given = built_design(shown.space, shown.gentlest.parameters).fingers
+    assert given is not None
+    plan = replace(plan_for(given), width=shown.gentlest.width)
+    plans = [_adapted(plan, given, fingers) for fingers in env.fingers]
+    rows = empty_rows(shown.space, episodes * (1 + config.episode_steps))
+    success = _play(env, designs, plans, seed, rows).metrics["success"] == 1.0
+    env.close()
+    kept = np.repeat(success, 1 + config.episode_steps)
+    return _by_episode(rows, episodes).rows.pick(kept)
+
+
+def _adapted(plan: GraspPlan, given: FingerPair, fingers: FingerPair) -> GraspPlan:
+    """The plan that does with these fingers what `plan` does with the given ones."""
+    try:
+        width = plan.width + plan_for(fingers).width - plan_for(given).width
+    except ValueError:  # fingers that can hardly hold anything: their episode won't succeed
+        return plan
+    return replace(plan, width=max(width, fingers.min_width))
 
 
 def _by_episode(rows: ReplayBuffer, lanes: int) -> ReplayBuffer:

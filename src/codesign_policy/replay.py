@@ -247,6 +247,15 @@ class ReplayBuffer:
         return Transitions(**arrays)
 
 
+def joined(like: ReplayBuffer, *parts: Transitions) -> ReplayBuffer:
+    """A full buffer of these rows, with the sizes and components of another."""
+    count = sum(len(part.in_control) for part in parts)
+    buffer = ReplayBuffer(like.spaces, like.components, count)
+    for part in parts:
+        buffer.insert(part)
+    return buffer
+
+
 def sample_batch(
     buffers: Sequence[ReplayBuffer],
     size: int,

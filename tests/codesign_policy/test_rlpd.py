@@ -8,7 +8,7 @@ import torch
 
 from codesign_policy.presets import FAST, PRESETS, PUBLISHED, Preset
 from codesign_policy.replay import Batch, Spaces
-from codesign_policy.rlpd import LEAST_VALUE, Agent, LearningError
+from codesign_policy.rlpd import LEAST_VALUE, UNIT_ENTROPY, Agent, LearningError
 
 SPACES = Spaces(observation=4, design=3, control=2)
 SMALL = replace(FAST, encoding=False, hidden=(8,), batch_size=6, actor_period=1)
@@ -294,25 +294,44 @@ def imitation(agent: Agent, rows: Batch) -> tuple[torch.Tensor, dict[str, float]
     return agent._imitation_loss(rows, chosen, mean, value, log), log
 
 
-def test_demonstrated_actions_count_where_critics_prefer_them() -> None:
-    """Of four rows the first two are shown; the critics like the first better than 0, not both."""
+def test_the_actor_is_held_near_demonstrated_actions() -> None:
+    """Of four rows the first two are shown."""
     agent = Agent(SPACES, replace(SMALL, imitation=2.0), 0)
-    best = torch.tensor([0.5, 0.0])
-    agent.critics = Parabola(best)  # type: ignore[assignment]
+    agent.critics = Parabola(torch.tensor([0.5, 0.0]))  # type: ignore[assignment]
     action = torch.zeros(4, 5)
     action[:, 3:] = torch.tensor([[0.4, 0.0], [-0.5, 0.0], [0.4, 0.0], [0.5, 0.0]])
     rows = batch([True] * 4, action=action, demonstrated=torch.tensor([True, True, False, False]))
     loss, log = imitation(agent, rows)
-    # weight 2, values of 0.25 that count as LEAST_VALUE, squared distance 0.16 of one of two rows
-    assert loss.item() == pytest.approx(2.0 * LEAST_VALUE * 0.16 / 2)
-    assert log["imitated"] == 0.5
+    # weight 2, values of 0.25 that count as LEAST_VALUE, mean of squared distances 0.16 and 0.25
+    assert loss.item() == pytest.approx(2.0 * LEAST_VALUE * 0.205)
+    assert log["distance_to_demonstrations"] == pytest.approx(0.205)
 
 
 def test_nothing_is_imitated_without_demonstrations() -> None:
     agent = Agent(SPACES, replace(SMALL, imitation=2.0), 0)
     agent.critics = Parabola(torch.tensor([0.5, 0.0]))  # type: ignore[assignment]
     loss, log = imitation(agent, batch([True] * 4))
-    assert (loss.item(), log["imitated"]) == (0.0, 0.0)
+    assert (loss.item(), log["distance_to_demonstrations"]) == (0.0, 0.0)
+
+
+def test_a_clone_acts_as_demonstrated_with_the_spread_that_is_wanted() -> None:
+    preset = replace(SMALL, hidden=(32,), batch_size=64, cloning=1500, control_entropy=-3.0)
+    agent = Agent(SPACES, preset, 0)
+    assert not agent.acts
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (200, SPACES.observation))
+    shown = 0.8 * np.stack([np.sin(seen[:, 0]), seen[:, 1] ** 2], axis=1)
+    assert agent.clone(seen, shown) < 0.01
+    assert agent.acts
+    np.testing.assert_allclose(agent.act(seen, explore=False), shown, atol=0.25)
+    log_std = agent.actors["control"](agent._seen(seen))[1].detach().numpy()
+    np.testing.assert_allclose(log_std, -3.0 / 2 - UNIT_ENTROPY, atol=0.1)
+
+
+def test_a_clone_is_repeatable() -> None:
+    seen, shown = np.linspace(-1.0, 1.0, 80).reshape(20, 4), np.zeros((20, 2))
+    first, again = (Agent(SPACES, replace(SMALL, cloning=20), 3) for _ in range(2))
+    assert first.clone(seen, shown) == again.clone(seen, shown)
+    np.testing.assert_array_equal(first.act(seen, explore=False), again.act(seen, explore=False))
 
 
 def test_a_scalar_d_is_the_component_in_one_direction() -> None:

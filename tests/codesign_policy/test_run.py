@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from codesign_policy import control_demonstrations
 from codesign_policy.codesign_env import COMPONENTS
 from codesign_policy.control_demonstrations import (
     expert_rows,
-    fine_tuning_rows,
+    gentlest_rows,
     nominal_rows,
     own_rows,
 )
 from codesign_policy.expert_plan import DemonstrationError
 from codesign_policy.presets import FAST
-from codesign_policy.replay import ReplayBuffer, Spaces
+from codesign_policy.replay import Spaces
 from codesign_policy.reward import RewardWeights
 from codesign_policy.rlpd import Agent
 from codesign_policy.run import (
@@ -84,25 +85,27 @@ def test_a_policy_that_fails_demonstrates_nothing() -> None:
         own_rows(agent, STOCK)
 
 
-def test_fine_tuning_learns_from_policy_and_expert(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The expert's part is left out where it cannot use the fingers."""
+def test_fine_tuning_learns_from_the_gentlest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of policy and expert; of the policy alone where the expert cannot use the fingers."""
     config = replace(STOCK, tetrahedra=600)
     shown = expert_rows(config, 4)
+    episode = [shown.rows.pick(slice(k, None, 4)) for k in range(4)]
 
-    def expert_as_policy(agent: Agent, config: RunConfig) -> ReplayBuffer:
-        return shown
+    def played(*stresses: float) -> list[control_demonstrations._Episode]:
+        rows = episode[: len(stresses)]
+        return [control_demonstrations._Episode(r, s) for r, s in zip(rows, stresses, strict=True)]
 
-    monkeypatch.setattr("codesign_policy.control_demonstrations.own_rows", expert_as_policy)
     agent = Agent(STOCK.spaces, FAST, 0)
-    rows = fine_tuning_rows(agent, config)
-    assert len(rows) == 2 * len(shown)
-    assert_array_equal(rows.rows.action[: len(shown)], shown.rows.action)
+    monkeypatch.setattr(control_demonstrations, "_own_episodes", lambda *_: played(900.0, 500.0))
+    monkeypatch.setattr(control_demonstrations, "_expert_episodes", lambda *_: played(600.0))
+    kept = gentlest_rows(agent, config).rows.action
+    assert_array_equal(kept, np.concatenate([episode[1].action, episode[0].action]))
 
-    def none(fingers: object, tetrahedra: int, seed: int) -> None:
+    def none(*_: object) -> None:
         raise DemonstrationError("no gap")
 
-    monkeypatch.setattr("codesign_policy.control_demonstrations.best_plan", none)
-    assert fine_tuning_rows(agent, config) is shown
+    monkeypatch.setattr(control_demonstrations, "_expert_episodes", none)
+    assert len(gentlest_rows(agent, config)) == sum(len(e.action) for e in episode[:2])
 
 
 def test_designs_start_at_the_gentlest_demonstration() -> None:
