@@ -28,6 +28,7 @@ EXPERTS = ("flat_pad", "cupped_pad", "scoop")
 # Of an expert's outline, fits mind these places most, (2, 3) corners [m]: the scoop's lip.
 REGIONS = {"scoop": np.array([[-0.035, -0.001, SCOOP_TIP - 0.004], [0.035, 0.012, SCOOP_TIP]])}
 RESTARTS = 24  # of a fit
+MOST_DRAWN = 10  # designs for each that is wanted
 METRICS = ("success", "top10_stress", "median_stress")
 
 Progress = Callable[[str, float], None]
@@ -109,10 +110,11 @@ def practise(
 
     Returns:
         Rows of both stages of the episodes that succeed, perhaps none.
+
+    Raises:
+        DemonstrationError: hardly any design around the demonstrated one can be used.
     """
-    centre = np.array(shown.gentlest.parameters)
-    noise = spread * np.random.default_rng([seed, 4]).normal(size=(episodes, len(centre)))
-    designs = np.clip(centre + noise, -DESIGN_BOUND, DESIGN_BOUND).astype(np.float32)
+    designs = _around(shown, episodes, spread, seed)
     env = CodesignEnv(shown.space, episodes, config=config)
     env.reset(seed=seed, options={"designs": designs})
     given = built_design(shown.space, shown.gentlest.parameters).fingers
@@ -124,6 +126,24 @@ def practise(
     env.close()
     kept = np.repeat(success, 1 + config.episode_steps)
     return _by_episode(rows, episodes).rows.pick(kept)
+
+
+def _around(shown: Demonstrations, count: int, spread: float, seed: int) -> NDArray[np.float32]:
+    """Designs (count, D) around the gentlest demonstrated one that can be printed and used."""
+    random = np.random.default_rng([seed, 4])
+    centre = np.array(shown.gentlest.parameters)
+    found: list[NDArray[np.float32]] = []
+    for _ in range(MOST_DRAWN * count):
+        drawn = centre + spread * random.normal(size=len(centre))
+        design = np.clip(drawn, -DESIGN_BOUND, DESIGN_BOUND).astype(np.float32)
+        if built_design(shown.space, tuple(design.astype(np.float64).tolist())).fingers:
+            found.append(design)
+        if len(found) == count:
+            return np.array(found)
+    raise DemonstrationError(
+        f"{len(found)} of {MOST_DRAWN * count} designs around the demonstrated one can be used, "
+        f"{count} are wanted: practise less, or demonstrate a finger with thicker walls"
+    )
 
 
 def _adapted(plan: GraspPlan, given: FingerPair, fingers: FingerPair) -> GraspPlan:

@@ -37,7 +37,7 @@ Stage = Literal["design", "control"]
 
 UNIT_ENTROPY = 0.5 * math.log(2.0 * math.pi * math.e)  # nats, of a normal number of spread 1
 CLONING_RATE = 1e-3  # of Adam
-SPREAD_WEIGHT = 0.01  # against the distance of means
+SPREAD_WEIGHT = 0.1  # against the distance of means
 # Of the values that imitation is weighed against, while critics still answer nearly nothing.
 LEAST_VALUE = 3.0
 

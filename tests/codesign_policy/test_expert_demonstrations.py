@@ -8,8 +8,9 @@ import pytest
 from codesign_design.design_space import design_space
 from codesign_policy import expert_demonstrations, expert_plan
 from codesign_policy.codesign_env import COMPONENTS
+from codesign_policy.control_env import ControlConfig
 from codesign_policy.demonstrations import Demonstrations, load_demonstrations
-from codesign_policy.expert_demonstrations import demonstrate
+from codesign_policy.expert_demonstrations import demonstrate, practise
 from codesign_policy.expert_plan import DemonstrationError
 from codesign_policy.task import physical_observations
 
@@ -70,3 +71,20 @@ def test_fingers_that_never_lift_are_an_error(
     monkeypatch.setattr(expert_plan, "TIGHTER", {2.5e-4: -6})  # all of them too wide
     with pytest.raises(DemonstrationError, match=r"flat_pad in box-12: fingers .*no gap from"):
         demonstrate(SPACE, experts=("flat_pad",), tetrahedra=600)
+
+
+def test_practice_is_with_other_fingers_and_blocks(made: Demonstrations) -> None:
+    config = ControlConfig(tetrahedra=600, friction=(0.45, 0.55), pose_error=0.0005)
+    rows = practise(made, 4, config, spread=0.005, seed=1)
+    again = practise(made, 4, config, spread=0.005, seed=1)
+    np.testing.assert_array_equal(rows.action, again.action)
+    episodes = int((~rows.in_control).sum())
+    assert 1 <= episodes <= 4
+    assert len(rows.in_control) == 201 * episodes
+    designs = rows.action[~rows.in_control, :COUNT]
+    assert 0.0 < np.abs(designs - made.rows.designs[0]).max() < 0.05
+    assert len(np.unique(designs, axis=0)) == episodes
+    starts = rows.observation[1::201]
+    np.testing.assert_array_equal(starts[:, 8:], designs)
+    held = rows.components[200::201, COMPONENTS.index("held")]
+    assert held.all()  # those that fail are left out
