@@ -12,6 +12,8 @@ class Preset:
         critics: members of the ensemble.
         critic_subset: how many of the target critics, drawn anew, the target's minimum is over.
         encoding: whether networks see observations with what a millimetre changes (`task.encoded`).
+        design_scale: by which networks see d enlarged, from the start design on: designs that are
+            tried differ by hundredths.
         hidden: widths of the hidden layers, of critics and control actor.
         learning_rate: of Adam, everywhere.
         discount: per policy period of the control stage; none across the design boundary.
@@ -41,6 +43,7 @@ class Preset:
     critics: int
     critic_subset: int
     encoding: bool
+    design_scale: float
     hidden: tuple[int, ...]
     learning_rate: float
     discount: float
@@ -73,6 +76,7 @@ PUBLISHED = Preset(
     critics=10,
     critic_subset=2,
     encoding=False,
+    design_scale=1.0,
     hidden=(256, 256),
     learning_rate=3e-4,
     discount=0.99,
@@ -106,6 +110,7 @@ FAST = Preset(
     critics=2,
     critic_subset=2,
     encoding=True,
+    design_scale=10.0,
     hidden=(128, 128),
     learning_rate=5e-4,
     discount=0.985,

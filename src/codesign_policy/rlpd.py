@@ -98,6 +98,7 @@ class Agent:
         start = np.zeros(spaces.design) if start_design is None else np.asarray(start_design)
         if start.shape != (spaces.design,) or not (np.abs(start) <= 1.0).all():
             raise ValueError(f"start design {start}: must be {spaces.design} numbers in [-1, 1]")
+        self._start = torch.as_tensor(start, dtype=torch.float32)
         self._direction = None
         if design_direction is not None:
             self._direction = torch.as_tensor(np.asarray(design_direction), dtype=torch.float32)
@@ -113,7 +114,7 @@ class Agent:
         self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
         self.actors: dict[Stage, nn.Module] = {
             "design": DesignActor(
-                torch.as_tensor(start, dtype=torch.float32),
+                self._start,
                 preset.design_std,
                 preset.design_std_range,
             ),
@@ -146,15 +147,16 @@ class Agent:
         return torch.optim.Adam(parameters, lr=self.preset.learning_rate, fused=True)
 
     def _seen(self, observation: NDArray[np.floating] | Tensor) -> Tensor:
-        """What networks see of observations (..., o): encoded, and a scalar d if there is one."""
+        """What networks see of observations (..., o): encoded, d from the start and enlarged, and
+        a scalar d if there is one."""
         whole = torch.as_tensor(observation, dtype=torch.float32)
         if self.preset.encoding:
             whole = torch.from_numpy(encoded(whole.numpy()))
-        if self._direction is None:
-            return whole
         split = whole.shape[-1] - self.spaces.design
-        d = whole[..., split:] @ self._direction
-        return torch.cat([whole[..., :split], d.unsqueeze(-1)], dim=-1)
+        d = (whole[..., split:] - self._start) * self.preset.design_scale
+        if self._direction is not None:
+            d = (d @ self._direction).unsqueeze(-1)
+        return torch.cat([whole[..., :split], d], dim=-1)
 
     @torch.no_grad()
     def act(self, observation: NDArray[np.floating], *, explore: bool) -> NDArray[np.float32]:
@@ -356,11 +358,17 @@ class Agent:
         """
         layers = list(self.averaged.layers)  # type: ignore[arg-type]
         weights = [layer.weight.detach().numpy().T.copy() for layer in layers]
-        if self._direction is not None:  # d is linear in the design, so it goes into the weights
-            weights[0] = np.vstack([weights[0][:-1], np.outer(self._direction, weights[0][-1])])
+        biases = [layer.bias.detach().numpy().copy() for layer in layers]
+        if self.spaces.design:  # what is seen of a design is linear in it: it goes into the weights
+            split = len(weights[0]) - (self.spaces.design if self._direction is None else 1)
+            d = weights[0][split:]
+            d = d if self._direction is None else np.outer(self._direction, d)
+            d = d * self.preset.design_scale
+            biases[0] -= self._start.numpy() @ d
+            weights[0] = np.vstack([weights[0][:split], d])
         return TrainedPair(
             tuple(weights),
-            tuple(layer.bias.detach().numpy().copy() for layer in layers),
+            tuple(biases),
             np.array(design, np.float32),
             {**about, "encoding": self.preset.encoding},
         )
