@@ -11,7 +11,7 @@ from codesign_policy.replay import Batch, Spaces
 from codesign_policy.rlpd import LEAST_VALUE, UNIT_ENTROPY, Agent, LearningError
 
 SPACES = Spaces(observation=4, design=3, control=2)
-SMALL = replace(FAST, encoding=False, hidden=(8,), batch_size=6, actor_period=1)
+SMALL = replace(FAST, encoding=False, design_scale=1.0, hidden=(8,), batch_size=6, actor_period=1)
 
 
 def batch(in_control: list[bool], seed: int = 0, **change: torch.Tensor) -> Batch:
@@ -356,6 +356,25 @@ def test_a_pair_with_a_scalar_d_takes_whole_observations() -> None:
     pair = agent.pair(np.zeros(3), {})
     seen = np.random.default_rng(0).normal(size=(5, 4)).astype(np.float32)
     np.testing.assert_allclose(pair.act(seen), agent.act(seen, explore=False), atol=1e-6)
+
+
+@pytest.mark.parametrize("direction", [None, np.array([0.6, 0.8, 0.0])])
+def test_designs_are_seen_enlarged_from_the_start(direction: np.ndarray | None) -> None:
+    """And a pair that is served takes them as they are."""
+    start = np.array([0.3, -0.2, 0.1])
+    large = replace(SMALL, design_scale=10.0)
+    agent, plain = (
+        Agent(SPACES, preset, 0, start, direction)
+        for preset in (large, replace(SMALL, design_scale=1.0))
+    )
+    step = np.array([0.02, 0.01, -0.03])
+    o = np.array([[0.5, *start], [0.5, *(start + step)]], np.float32)
+    far = np.array([o[0], [0.5, *(start + 10.0 * step)]], np.float32)
+    np.testing.assert_allclose(agent._seen(o), plain._seen(far), atol=1e-6)
+    agent.update(batch([True, False, True, True, False, True]))
+    seen = agent.act(o, explore=False)
+    np.testing.assert_allclose(agent.pair(start, {}).act(o), seen, atol=1e-6)
+    assert np.abs(seen[0] - seen[1]).max() > 1e-4
 
 
 def test_design_directions_are_checked() -> None:
