@@ -26,7 +26,7 @@ beside() {
 
 if [ ! -d "$out/demonstrations" ]; then
   step "demonstrations: three expert fingers fitted, one grasp with each"
-  codesign policy demonstrate --space lip-12 --seed "$seed" --out "$out/demonstrations"
+  codesign policy demonstrate --space wide-12 --seed "$seed" --out "$out/demonstrations"
 fi
 step "co-design; beside it the original gripper (see $out/original.log)"
 learn "$out/original" train --space stock >>"$out/original.log" 2>&1 &

@@ -23,7 +23,7 @@ class Format(StrEnum):
 
 def demonstrate(
     out: Annotated[Path, typer.Option(help="Folder to write: a Minari dataset.")],
-    space: Annotated[str, typer.Option(help="Design space: base mesh and handles.")] = "lip-12",
+    space: Annotated[str, typer.Option(help="Design space: base mesh and handles.")] = "wide-12",
     tets: Annotated[int, typer.Option(help="Resolution of the block: 600 or 2400.")] = 2400,
     seed: Annotated[int, typer.Option(min=0, help="Of fits and block.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
@@ -112,7 +112,7 @@ def export_demonstrations(
 
     Exit codes: 0 done, 2 bad input: nothing is written.
 
-    Example: codesign policy export-demonstrations lip-12 --format lerobot --out runs/lip-12-lerobot
+    Example: codesign policy export-demonstrations wide-12 --format lerobot --out runs/wide-12-lerobot
     """
     from codesign_policy.demonstrations import demonstrations_path, load_demonstrations
     from codesign_policy.lerobot_export import export_lerobot

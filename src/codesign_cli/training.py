@@ -38,7 +38,7 @@ def train(
     out: OutOption,
     space: Annotated[
         str, typer.Option(help="Design space, or 'stock': the stock fingers, control alone.")
-    ] = "lip-12",
+    ] = "wide-12",
     preset: Annotated[str, typer.Option(help="fast or published.")] = "fast",
     designs: Annotated[
         str, typer.Option(help="From 'search' (CMA-ES) or the 'actor' (the paper's).")

@@ -1,9 +1,9 @@
 """Base meshes: the closed surfaces that a cage deforms, generated in unit space.
 
 The unit sphere is the paper's; the torus is its future work; the rounded box has flat faces and
-the lip a flat contact face with a supporting lip, because neither can be had from a sphere moved
-by few handles. Axes are those of the grasp frame: x sideways, y away from the object (the contact
-side faces -y), z along the approach. One unit becomes `UNIT_LENGTH` in a design space.
+lip and wide a flat contact face with a supporting lip, because neither can be had from a sphere
+moved by few handles. Axes are those of the grasp frame: x sideways, y away from the object (the
+contact side faces -y), z along the approach. One unit becomes `UNIT_LENGTH` in a design space.
 """
 
 from collections.abc import Callable
@@ -22,12 +22,37 @@ TORUS_RADIUS, TUBE_RADIUS = 0.7, 0.3
 BOX_SIZE = np.array([32.0, 14.0, 48.0])  # mm
 BOX_EDGE_RADIUS = 1.5  # mm
 
-LIP_LENGTH = 10.5  # mm, in front of the contact face
-LIP_THICKNESS = 1.5  # mm
-LIP_TIP = 0.6  # mm, thickness left at the tip
-LIP_CHAMFER = 7.0  # mm, length over which the lip thins towards its tip
-LIP_BODY = np.array([32.0, 8.0, 48.0])  # mm, without the lip
-_LIP_SPACING = 0.9  # mm
+
+@dataclass(frozen=True)
+class LProfile:
+    """A plate on a lip, with rounded corners, extruded sideways. Lengths in millimetres.
+
+    Attributes:
+        width, depth, height: of the plate.
+        lip: length in front of the contact face.
+        tip: thickness left at the lip's tip.
+        tip_radius: of both corners there.
+        spacing, layer: of the mesh, along the profile and sideways.
+        thickness: of the lip.
+        chamfer: length over which the lip thins towards its tip.
+    """
+
+    width: float
+    depth: float
+    height: float
+    lip: float
+    tip: float
+    tip_radius: float
+    spacing: float
+    layer: float
+    thickness: float = 1.5
+    chamfer: float = 7.0
+
+
+LIP = LProfile(32.0, 8.0, 48.0, 10.5, tip=0.6, tip_radius=0.25, spacing=0.9, layer=1.4)
+# As wide as the scoop of the experts and with its thin tip: stretched to that width, `LIP` bows and
+# its tip stands half a millimetre above the table, and blocks jam on it.
+WIDE = LProfile(60.0, 7.0, 48.0, 12.0, tip=0.35, tip_radius=0.12, spacing=1.25, layer=1.75)
 
 
 @dataclass(frozen=True)
@@ -105,14 +130,22 @@ def _box_lines(half: float) -> NDArray[np.float64]:
 
 
 def _lip() -> BaseMesh:
-    """An L profile with rounded corners, extruded sideways; the lip is at the lower end (+z)."""
-    outline = _lip_outline()
-    inside = _grid_inside(outline, _LIP_SPACING * 1.6)
+    return _extruded(LIP)
+
+
+def _wide() -> BaseMesh:
+    return _extruded(WIDE)
+
+
+def _extruded(profile: LProfile) -> BaseMesh:
+    """The body of a profile; the lip is at the lower end (+z)."""
+    outline = _l_outline(profile)
+    inside = _grid_inside(outline, profile.spacing * 1.6)
     cap = np.concatenate([outline, inside])
     triangles = Delaunay(cap).simplices
     triangles = triangles[_contains(outline, cap[triangles].mean(1))]
-    half = LIP_BODY[0] / 2
-    layers = np.linspace(-half, half, 2 * round(half / 1.4) + 1)
+    half = profile.width / 2
+    layers = np.linspace(-half, half, 2 * round(half / profile.layer) + 1)
     count = len(outline)
     ring = np.arange(count * len(layers)).reshape(len(layers), count)
     wall = np.column_stack([np.repeat(layers, count), np.tile(outline, (len(layers), 1))])
@@ -124,23 +157,23 @@ def _lip() -> BaseMesh:
     return _outward(points / (UNIT_LENGTH * 1e3), faces)
 
 
-def _lip_outline() -> NDArray[np.float64]:
+def _l_outline(profile: LProfile) -> NDArray[np.float64]:
     """The profile in (y, z) [mm], (K, 2), evenly spaced, counter-clockwise."""
-    depth, bottom = LIP_BODY[1] + LIP_LENGTH, LIP_BODY[2] / 2
-    front, tip = depth / 2 - LIP_BODY[1], -depth / 2
+    depth, bottom = profile.depth + profile.lip, profile.height / 2
+    front, tip = depth / 2 - profile.depth, -depth / 2
     corners = np.array(
         [
             [depth / 2, -bottom],
             [depth / 2, bottom],
             [tip, bottom],
-            [tip, bottom - LIP_TIP],
-            [tip + LIP_CHAMFER, bottom - LIP_THICKNESS],
-            [front, bottom - LIP_THICKNESS],
+            [tip, bottom - profile.tip],
+            [tip + profile.chamfer, bottom - profile.thickness],
+            [front, bottom - profile.thickness],
             [front, -bottom],
         ]
     )
-    radii = np.array([1.5, 1.0, 0.25, 0.25, 2.0, 1.0, 1.5])
-    return _resampled(_rounded(corners, radii), _LIP_SPACING)
+    radii = np.array([1.5, 1.0, profile.tip_radius, profile.tip_radius, 2.0, 1.0, 1.5])
+    return _resampled(_rounded(corners, radii), profile.spacing)
 
 
 def _rounded(corners: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -224,4 +257,5 @@ _MAKERS: dict[str, Callable[[], BaseMesh]] = {
     "torus": _torus,
     "box": _box,
     "lip": _lip,
+    "wide": _wide,
 }

@@ -123,7 +123,7 @@ class Demonstrations:
 def demonstrations_path(name: str | Path) -> Path:
     """The folder of the shipped dataset of a design space, or else `name` as a folder.
 
-    Example: load_demonstrations(demonstrations_path("lip-12"))
+    Example: load_demonstrations(demonstrations_path("wide-12"))
     """
     shipped = SHIPPED / "codesign" / name / f"experts-v{EXPERTS_VERSION}" / "data"
     return shipped if (shipped / METADATA).is_file() else Path(name)

@@ -67,7 +67,7 @@ class RunConfig:
         command, commit: what made it.
     """
 
-    space: str = "lip-12"
+    space: str = "wide-12"
     design: tuple[float, ...] = ()
     start: tuple[float, ...] = ()
     design_direction: tuple[float, ...] = ()

@@ -14,17 +14,25 @@ runner = CliRunner()
 def test_shipped_demonstrations_become_a_lerobot_dataset(tmp_path: Path) -> None:
     out = tmp_path / "lerobot"
     done = runner.invoke(
-        app, ["policy", "export-demonstrations", "lip-12", "--out", str(out), "--json"]
+        app, ["policy", "export-demonstrations", "wide-12", "--out", str(out), "--json"]
     )
     assert done.exit_code == 0, done.output
     summary = json.loads(done.stdout)
-    assert (summary["space"], summary["transitions"]) == ("lip-12", 603)
+    assert (summary["space"], summary["transitions"]) == ("wide-12", 603)
     assert json.loads((out / "meta/info.json").read_text())["total_frames"] == 600
 
 
 def test_shipped_demonstrations_are_copied_as_they_are(tmp_path: Path) -> None:
     out = tmp_path / "copy"
-    command = ["policy", "export-demonstrations", "lip-12", "--format", "minari", "--out", str(out)]
+    command = [
+        "policy",
+        "export-demonstrations",
+        "wide-12",
+        "--format",
+        "minari",
+        "--out",
+        str(out),
+    ]
     done = runner.invoke(app, command)
     assert done.exit_code == 0, done.output
     assert minari.MinariDataset(out).total_steps == 603

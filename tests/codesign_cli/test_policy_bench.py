@@ -41,7 +41,7 @@ def test_bench_prints_json_alone() -> None:
 
 
 def test_bench_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    rate = TrainingRate("fast", "lip-12", 8, 1, 250.0, 0.3, 0.6, 0.1)
+    rate = TrainingRate("fast", "wide-12", 8, 1, 250.0, 0.3, 0.6, 0.1)
     monkeypatch.setattr(training_bench, "measure_training", lambda: rate)
     result = CliRunner().invoke(app, ["policy", "bench", "--seconds", "0.1"])
     assert result.exit_code == 0

@@ -46,14 +46,16 @@ def test_base_mesh_has_the_volume_of_its_shape(name: str, volume: float) -> None
     assert as_trimesh(base.vertices, base.faces).volume == pytest.approx(volume, rel=0.015)
 
 
-def test_lip_is_as_thin_and_long_as_it_says() -> None:
-    base = base_mesh("lip")
+@pytest.mark.parametrize(("name", "profile"), [("lip", meshes.LIP), ("wide", meshes.WIDE)])
+def test_lip_is_as_thin_and_long_as_it_says(name: str, profile: meshes.LProfile) -> None:
+    base = base_mesh(name)
     points = base.vertices * MM
     depth = np.ptp(points[:, 1])
-    assert depth == pytest.approx(meshes.LIP_BODY[1] + meshes.LIP_LENGTH, abs=1e-9)
-    assert np.ptp(points[:, 0]) == pytest.approx(32.0, abs=1e-9)
+    assert depth == pytest.approx(profile.depth + profile.lip, abs=1e-9)
+    assert np.ptp(points[:, 0]) == pytest.approx(profile.width, abs=1e-9)
     front = points[:, 1].min()
-    for ahead, thickness in ((9.0, 1.5), (meshes.LIP_CHAMFER / 2, (1.5 + 0.6) / 2)):
+    half_way = (profile.thickness + profile.tip) / 2
+    for ahead, thickness in ((9.0, profile.thickness), (profile.chamfer / 2, half_way)):
         probe = np.array([[0.0, front + ahead, z] for z in np.arange(-24.0, 24.0, 0.01)])
         inside = igl.fast_winding_number(base.vertices, base.faces.astype(np.int64), probe / MM)
         # 9 mm behind the tip the fillet to the body begins: 0.1 mm.
@@ -87,7 +89,7 @@ def test_torus_cages_of_many_handles_have_a_hole_of_their_own() -> None:
 
 
 def test_unknown_names_are_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"'cube'; choose from box, lip, sphere, torus"):
+    with pytest.raises(ValueError, match=r"'cube'; choose from box, lip, sphere, torus, wide"):
         base_mesh("cube")
     with pytest.raises(ValueError, match=r"'sphere-8'; choose from .*sphere-7"):
         load_cage("sphere-8")

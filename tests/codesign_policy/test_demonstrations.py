@@ -24,7 +24,7 @@ from codesign_policy.demonstrations import (
 from codesign_policy.replay import FIELDS, ReplayBuffer
 from codesign_policy.task import TASK_VERSION, physical_observations
 
-SPACE = "lip-12"
+SPACE = "wide-12"
 COUNT = design_space(SPACE).parameter_count
 HELD = COMPONENTS.index("held")
 
@@ -47,7 +47,7 @@ def test_the_shipped_demonstrations_are_three_designs_and_600_control_steps(
     shipped: Demonstrations,
 ) -> None:
     assert shipped.space == SPACE
-    assert shipped.made_by.startswith("codesign policy demonstrate --space lip-12")
+    assert shipped.made_by.startswith("codesign policy demonstrate --space wide-12")
     assert [episode.expert for episode in shipped.episodes] == ["flat_pad", "cupped_pad", "scoop"]
     rows = shipped.rows.rows
     assert rows.in_control.tolist() == ([False] + [True] * 200) * 3
@@ -78,8 +78,8 @@ def test_minari_opens_it_by_its_id(
 ) -> None:
     """As somebody would who knows nothing of this package."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(SHIPPED))
-    assert list(minari.list_local_datasets()) == ["codesign/lip-12/experts-v0"]
-    dataset = minari.load_dataset("codesign/lip-12/experts-v0")
+    assert list(minari.list_local_datasets()) == ["codesign/wide-12/experts-v0"]
+    dataset = minari.load_dataset("codesign/wide-12/experts-v0")
     assert (dataset.total_episodes, dataset.total_steps) == (3, 603)
     for episode, rows in zip(dataset.iterate_episodes(), shipped.transitions(), strict=True):
         assert episode.observations.shape == (202, 8 + COUNT)
@@ -118,7 +118,7 @@ def test_a_round_trip_keeps_everything(
         np.testing.assert_array_equal(
             getattr(loaded.rows.rows, name), getattr(shipped.rows.rows, name)
         )
-    assert minari.MinariDataset("again").id == "codesign/lip-12/copied-v3"
+    assert minari.MinariDataset("again").id == "codesign/wide-12/copied-v3"
 
 
 def test_saving_replaces_a_dataset_and_nothing_else(

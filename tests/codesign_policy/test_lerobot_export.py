@@ -22,12 +22,12 @@ TYPES = {"float32": "float", "int64": "int64", "bool": "bool"}
 
 @pytest.fixture(scope="module")
 def shipped() -> Demonstrations:
-    return load_demonstrations(demonstrations_path("lip-12"))
+    return load_demonstrations(demonstrations_path("wide-12"))
 
 
 @pytest.fixture(scope="module")
 def root(shipped: Demonstrations, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("export") / "lip-12"
+    folder = tmp_path_factory.mktemp("export") / "wide-12"
     export_lerobot(shipped, folder)
     return folder
 

@@ -46,9 +46,9 @@ def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
 
 
 def test_sizes_and_stages() -> None:
-    assert RunConfig(space="lip-12").spaces == Spaces(44, 36, 7)
-    assert RunConfig(space="lip-12").learns_design
-    assert not RunConfig(space="lip-12", design=(0.0,) * 36).learns_design
+    assert RunConfig(space="wide-12").spaces == Spaces(44, 36, 7)
+    assert RunConfig(space="wide-12").learns_design
+    assert not RunConfig(space="wide-12", design=(0.0,) * 36).learns_design
     assert STOCK.spaces == Spaces(8, 0, 7)
     assert not STOCK.learns_design
 
@@ -109,7 +109,7 @@ def test_fine_tuning_learns_from_the_gentlest(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_designs_start_at_the_gentlest_demonstration() -> None:
-    shown = shown_rows("lip-12")
+    shown = shown_rows("wide-12")
     assert shown.gentlest.expert == "scoop"
     start = shown.gentlest.parameters
     config = RunConfig(lanes=8, demonstrations=len(shown.rows), start=start)
@@ -123,20 +123,20 @@ def test_designs_start_at_the_gentlest_demonstration() -> None:
 
 
 def test_demonstrations_of_another_space_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"demonstrations of lip-12, the run is of box-12"):
+    with pytest.raises(ValueError, match=r"demonstrations of wide-12, the run is of box-12"):
         shown_rows("box-12", shown_path())
 
 
 def shown_path() -> Path:
     from codesign_policy.demonstrations import demonstrations_path
 
-    return demonstrations_path("lip-12")
+    return demonstrations_path("wide-12")
 
 
 def test_fixed_designs_must_be_usable() -> None:
-    with pytest.raises(ValueError, match="design of lip-12"):
-        fingers_of("lip-12", np.zeros(36))  # the base mesh touches the knuckle
-    assert fingers_of("lip-12", shown_rows("lip-12").designs[0]).cage == "lip-12"
+    with pytest.raises(ValueError, match="design of wide-12"):
+        fingers_of("wide-12", np.zeros(36))  # the base mesh touches the knuckle
+    assert fingers_of("wide-12", shown_rows("wide-12").designs[0]).cage == "wide-12"
 
 
 def test_the_scalar_d_is_where_demonstrated_designs_differ() -> None:

@@ -23,7 +23,7 @@ def test_candidates_are_judged_in_the_simulator(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(selection, "EPISODES", 8)
     monkeypatch.setattr(selection, "KEPT", 1)
     monkeypatch.setattr(selection, "GENERATIONS", 1)
-    shown = shown_rows("lip-12")
+    shown = shown_rows("wide-12")
     start = shown.gentlest.parameters
     config = RunConfig(lanes=8, demonstrations=len(shown.rows), start=start)
     training = make_training(config, shown.rows)
