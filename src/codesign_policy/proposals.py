@@ -74,7 +74,7 @@ class SearchSettings:
 
     rounds: int = 2
     practice: int = 4
-    spread: float = 0.01
+    spread: float = 0.003
 
 
 @dataclass(frozen=True)
