@@ -34,6 +34,8 @@ class Preset:
         actor_average: rate at which the averaged actor, the one that is served, follows the control
             actor, per update of that; 1: they are the same.
         cloning: steps of regression to demonstrated actions that the control actor starts with.
+        actor_rest: updates of the critics after that, before the actor follows them: critics that
+            know little would lead it astray.
         imitation: weight of staying close to demonstrated actions, in units of the values' size.
         mean_rounds: whether every second round is played without exploration; it is these by which
             a search judges designs.
@@ -63,6 +65,7 @@ class Preset:
     design_std_range: tuple[float, float]
     actor_average: float
     cloning: int
+    actor_rest: int
     imitation: float
     mean_rounds: bool
 
@@ -96,6 +99,7 @@ PUBLISHED = Preset(
     design_std_range=(1e-4, 0.5),
     actor_average=1.0,
     cloning=0,
+    actor_rest=0,
     imitation=0.0,
     mean_rounds=False,
 )
@@ -130,6 +134,7 @@ FAST = Preset(
     design_std_range=(0.02, 0.1),
     actor_average=0.002,
     cloning=3000,
+    actor_rest=6000,
     imitation=1.0,
     mean_rounds=True,
 )

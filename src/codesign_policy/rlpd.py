@@ -94,6 +94,7 @@ class Agent:
             ValueError: a start design or direction of another size, or a start outside [-1, 1].
         """
         self.spaces, self.preset, self.updates, self.acts = spaces, preset, 0, False
+        self._actor_from = 0
         self._random = torch.Generator().manual_seed(seed)
         start = np.zeros(spaces.design) if start_design is None else np.asarray(start_design)
         if start.shape != (spaces.design,) or not (np.abs(start) <= 1.0).all():
@@ -203,7 +204,8 @@ class Agent:
     def clone(self, observation: NDArray[np.floating], action: NDArray[np.floating]) -> float:
         """Starts the control actor from demonstrations: `preset.cloning` steps of regression.
 
-        Its spread becomes the one of the entropy that is aimed at.
+        Its spread becomes the one of the entropy that is aimed at. Then it rests for
+        `preset.actor_rest` updates, until the critics know what the clone is worth.
 
         Args:
             observation: (n, o) of the control stage.
@@ -231,11 +233,12 @@ class Agent:
             loss.backward()
             optimizer.step()
         self.averaged.load_state_dict(actor.state_dict())
-        self.acts = True
+        self.acts, self._actor_from = True, self.updates + self.preset.actor_rest
         return distance.item()
 
     def update(self, batch: Batch) -> dict[str, float]:
-        """One update of the critics; every `actor_period`-th time of actors and temperatures too.
+        """One update of the critics; every `actor_period`-th time of actors and temperatures too,
+        unless these rest after a `clone`.
 
         Returns:
             Losses, values, entropies and temperatures by name, of what was updated.
@@ -251,7 +254,7 @@ class Agent:
         log = self._update_critics(batch)
         self.updates += 1
         self.acts = True
-        if self.updates % self.preset.actor_period == 0:
+        if self.updates > self._actor_from and self.updates % self.preset.actor_period == 0:
             log |= self._update_actors(batch)
         return log
 
@@ -378,6 +381,7 @@ class Agent:
         state = {
             "updates": self.updates,
             "acts": self.acts,
+            "actor_from": self._actor_from,
             "random": self._random.get_state(),
             "networks": {name: net.state_dict() for name, net in self._networks.items()},
             "optimizers": {name: opt.state_dict() for name, opt in self._optimizers.items()},
@@ -398,6 +402,7 @@ class Agent:
             optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
         self._random.set_state(state["random"])
         self.updates, self.acts = state["updates"], state["acts"]
+        self._actor_from = state["actor_from"]
 
 
 @torch.no_grad()

@@ -134,8 +134,8 @@ def shown_path() -> Path:
 
 
 def test_fixed_designs_must_be_usable() -> None:
-    with pytest.raises(ValueError, match="design of wide-12"):
-        fingers_of("wide-12", np.zeros(36))  # the base mesh touches the knuckle
+    with pytest.raises(ValueError, match="design of lip-12"):
+        fingers_of("lip-12", np.zeros(36))  # the base mesh touches the knuckle
     assert fingers_of("wide-12", shown_rows("wide-12").designs[0]).cage == "wide-12"
 
 
