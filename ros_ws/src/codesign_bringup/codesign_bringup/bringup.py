@@ -298,8 +298,20 @@ def _before_exec(nice: int, realtime: bool) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     with contextlib.suppress(PermissionError):
         os.nice(nice)
+        if nice:
+            _nice_session(nice)
         if realtime:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+
+
+def _nice_session(nice: int) -> None:
+    """Linux weighs sessions against each other where it groups them; niceness counts only within.
+
+    Every node has a session of its own.
+    """
+    group = Path("/proc/self/autogroup")
+    if group.exists():
+        group.write_text(f"{nice}\n")
 
 
 def _end(process: subprocess.Popen[str]) -> None:
