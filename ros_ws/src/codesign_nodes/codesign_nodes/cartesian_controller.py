@@ -644,7 +644,8 @@ class CartesianController(LeanNode):
         if len(request.joints):
             return np.array(request.joints)
         if not request.pose.header.frame_id:
-            return start_posture(self._arm, self._gripper, self._gap_target())
+            asked = request.width if math.isfinite(request.width) else self._gap_target()
+            return start_posture(self._arm, self._gripper, self._gripper.clip(asked))
         if request.pose.header.frame_id != "link_base":
             raise ValueError(f"pose in frame {request.pose.header.frame_id!r}: must be link_base")
         pose = request.pose.pose
