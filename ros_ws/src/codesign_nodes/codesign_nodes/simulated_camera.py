@@ -57,7 +57,7 @@ class SimulatedCamera(LeanNode):
         self._state: SimulationState | None = None
         self._joints: JointState | None = None
         self._last: CompressedImage | None = None
-        self._sent_at = 0.0
+        self._taken_at = self._sent_at = 0.0
         self._pictures, self._busy = 0, 0.0
         self._report_at = time.monotonic()
         cv2.setNumThreads(1)
@@ -134,7 +134,8 @@ class SimulatedCamera(LeanNode):
 
     def _on_joints(self, message: JointState) -> None:
         self._joints = message
-        self._take_if_complete()
+        if self._lockstep:  # at real time each new state, while it is new
+            self._take_if_complete()
 
     def _on_state(self, message: SimulationState) -> None:
         self._state = message
@@ -151,7 +152,8 @@ class SimulatedCamera(LeanNode):
         if self._last is not None and self._last.header.stamp == state.header.stamp:
             if now - self._sent_at > REPEAT_AFTER:  # the simulator waits: something was lost
                 self._send(self._last)
-        elif self._lockstep or now - self._sent_at > 0.95 / self._rate:
+        elif self._lockstep or now - self._taken_at > 0.95 / self._rate:
+            self._taken_at = now
             self._last = self._picture(state, joints)
             self._send(self._last)
 
