@@ -13,9 +13,13 @@ OUT_OF_STEP = 0.5  # s; sender and reader whose clocks differ more have no commo
 
 
 class SetpointBuffer:
-    """Joint set-points (7,) [rad], each meant for one moment [s] of the sender's clock."""
+    """Joint set-points (7,) [rad], each meant for one moment [s] of the sender's clock.
 
-    def __init__(self) -> None:
+    Or vectors of any other size, such as what an arm reports.
+    """
+
+    def __init__(self, size: int = 7) -> None:
+        self._size = size
         self._points: deque[tuple[float, np.ndarray]] = deque(maxlen=KEPT)
 
     def __len__(self) -> int:
@@ -28,9 +32,9 @@ class SetpointBuffer:
     def add(self, moment: float, position: np.ndarray) -> None:
         """Appends a set-point. A clock that was put back starts the buffer anew.
 
-        Raises ValueError for a position that is not 7 finite angles.
+        Raises ValueError for a position of another size, or that is not finite.
         """
-        position = finite_vector("joint command", position, 7)
+        position = finite_vector("joint command", position, self._size)
         if self._points and moment <= self._points[-1][0]:
             self._points.clear()
         self._points.append((moment, position))

@@ -4,6 +4,9 @@ At real time it ticks every 10 ms. With use_sim_time it is the clock: in lockste
 tick's state, waits for the commands with that tick's stamp, and goes on at once, so that the same
 seed gives the same trial bit for bit.
 
+With follow_arm a real arm moves the fingers: the node listens to its driver, simulates the block
+alone, and stamps what it publishes with the moment that the fingers are shown at.
+
 Fingers that come on /finger_design are put on at the next reset, never in the middle of a trial.
 """
 
@@ -33,6 +36,7 @@ from codesign_control.setpoint_buffer import SetpointBuffer
 from codesign_design.finger_pair import FingerPair
 from codesign_design.stock import stock_fingers
 from codesign_nodes import messages, qos
+from codesign_nodes.followed_arm import FollowedArm
 from codesign_nodes.markers import SceneMarkers
 from codesign_nodes.node_tools import (
     Diagnostics,
@@ -51,6 +55,7 @@ TICK_NS = 10_000_000  # 100 Hz: joint states
 SLOW_TICKS = 5  # 20 Hz: gripper state, object pose, stress, shape; the policy's grid
 MARKER_TICKS = 10  # 10 Hz
 MAX_CATCH_UP = 5  # ticks that a late timer makes up for
+CLOCK_JUMP_NS = 200_000_000  # between the clock and the even grid of ticks
 
 
 class FemSimulator(LeanNode):
@@ -97,6 +102,7 @@ class FemSimulator(LeanNode):
             low=0.0,
             high=0.2,
         )
+        self._arm = self._declare_arm()
         self._publishes_design = declare(
             self,
             "publish_design",
@@ -132,14 +138,20 @@ class FemSimulator(LeanNode):
         self._setpoints = SetpointBuffer()
         self._started_at, self._started_ns = time.monotonic(), 0
         self._ticks_done = 0
+        self._moment = 0  # of a followed arm, that the fingers are shown at [ns]
+        self._no_block, self._missing = "", ""
+        self._behind = False
         self._error = ""
         self._commands: dict[str, int] = {}
         self._sent_at = 0.0
         # May compile kernels first; nobody is to wait for an answer meanwhile.
-        domain = draw_domain(seed)
+        self._domain = domain = draw_domain(seed)
         self._cell.reset(domain)
+        if self._arm is not None:
+            self._no_block = "waiting for the arm and its fingers"
         self._make_interfaces()
         self._publish_mesh(domain)
+        self._knows_fingers = self._publishes_design
         if self._publishes_design:
             self._publish_design()
             self._offer_reset()
@@ -152,18 +164,55 @@ class FemSimulator(LeanNode):
             self._timer = self.create_timer(TICK_NS * 1e-9, self._on_timer, clock=steady_clock())
         self._diagnostics = Diagnostics(self, self._report)
 
+    def _declare_arm(self) -> FollowedArm | None:
+        """The real arm whose fingers touch the block, if that is asked for."""
+        follows = declare(
+            self,
+            "follow_arm",
+            False,
+            "real time: arm and gripper are real ones, the fingers are where /joint_states and "
+            "/gripper_state say; neither is simulated or published",
+        )
+        self._follow_delay = declare(
+            self,
+            "follow_delay",
+            0.06,
+            "follow_arm: age at which the arm's reports count, so that their jitter and the 50 ms "
+            "between two of the gripper stay out of the motion [s]",
+            low=0.0,
+            high=0.3,
+        )
+        if follows and self._lockstep:
+            raise ValueError("follow_arm: a real arm has no simulated time, leave out use_sim_time")
+        return FollowedArm() if follows else None
+
     def _make_interfaces(self) -> None:
         offered = qos.STATE_OFFERED
         self._clock_pub = (
             self.create_publisher(Clock, "/clock", offered) if self._lockstep else None
         )
-        self._joint_pub = self.create_publisher(JointState, "/joint_states", offered)
-        self._gripper_pub = self.create_publisher(GripperState, "/gripper_state", offered)
         self._pose_pub = self.create_publisher(PoseStamped, self._object_topic, qos.POSE_OFFERED)
         self._stress_pub = self.create_publisher(Stress, "/stress", offered)
         self._state_pub = self.create_publisher(SimulationState, "/simulation_state", offered)
         self._mesh_pub = self.create_publisher(SoftBodyMesh, "/soft_body_mesh", qos.LATCHED)
         self._marker_pub = self.create_publisher(MarkerArray, "/markers", 2)
+        if self._arm is None:
+            self._make_arm_interfaces()
+        else:
+            self.create_subscription(JointState, "/joint_states", self._on_joints, qos.STATE)
+            self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.STATE)
+        self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
+        self._reset_service: Any = None
+        self.create_service(Trigger, "~/pause", self._on_pause)
+        self.create_service(
+            Trigger, "~/resume", self._on_resume, callback_group=ReentrantCallbackGroup()
+        )
+
+    def _make_arm_interfaces(self) -> None:
+        """Those of a driver, in the place of a real one."""
+        offered = qos.STATE_OFFERED
+        self._joint_pub = self.create_publisher(JointState, "/joint_states", offered)
+        self._gripper_pub = self.create_publisher(GripperState, "/gripper_state", offered)
         self.create_subscription(
             JointCommand, "/joint_command", self._on_joint_command, qos.JOINT_COMMAND_REQUESTED
         )
@@ -173,16 +222,12 @@ class FemSimulator(LeanNode):
             self._on_gripper_command,
             qos.GRIPPER_COMMAND_REQUESTED,
         )
-        self.create_subscription(FingerDesign, "/finger_design", self._on_design, qos.LATCHED)
-        self._reset_service: Any = None
-        self.create_service(Trigger, "~/pause", self._on_pause)
-        self.create_service(
-            Trigger, "~/resume", self._on_resume, callback_group=ReentrantCallbackGroup()
-        )
 
     def _offer_reset(self) -> None:
-        """A trial begins with a reset, so none begins before the fingers are known."""
-        if self._reset_service is None:
+        """A trial begins with a reset, so none begins before the fingers are known, nor before a
+        real arm was heard of."""
+        known = self._arm is None or self._arm.heard
+        if self._reset_service is None and known:
             self._reset_service = self.create_service(ResetSimulation, "~/reset", self._on_reset)
 
     # --- time
@@ -190,6 +235,8 @@ class FemSimulator(LeanNode):
     def _stamp(self) -> Any:
         if self._lockstep:
             return stamp_of(self._tick * TICK_NS)
+        if self._arm is not None:
+            return stamp_of(self._moment)
         return self.get_clock().now().to_msg()
 
     def _on_timer(self) -> None:
@@ -200,7 +247,9 @@ class FemSimulator(LeanNode):
             due = MAX_CATCH_UP
         for _ in range(due):
             self._ticks_done += 1
-            if not self._error:
+            if self._arm is not None:
+                self._follow_arm(self._arm)
+            elif not self._error:
                 self._follow_setpoints(self._started_ns + self._ticks_done * TICK_NS)
                 self._advance()
 
@@ -208,6 +257,40 @@ class FemSimulator(LeanNode):
         position = self._setpoints.at(now_ns * 1e-9 - self._delay)
         if position is not None:
             self._cell.command_joints(position)
+
+    def _follow_arm(self, arm: FollowedArm) -> None:
+        """The fingers go where the real ones were; while that is not known they stand still."""
+        self._moment = self._on_grid() - round(self._follow_delay * 1e9)
+        self._missing = arm.missing(time.monotonic())
+        if self._no_block:
+            self._put_first_block()
+        elif not self._error:
+            if self._missing:
+                self._cell.stand_still()
+            else:
+                self._cell.follow(*arm.at(self._moment * 1e-9))
+            self._advance()
+            self._behind |= self._cell.behind
+
+    def _on_grid(self) -> int:
+        """The moment of this tick on an even grid [ns]; a jump of the clock moves the grid."""
+        now = self.get_clock().now().nanoseconds
+        on_grid = self._started_ns + self._ticks_done * TICK_NS
+        if abs(on_grid - now) > CLOCK_JUMP_NS:
+            self._started_ns += now - on_grid
+            return now
+        return on_grid
+
+    def _put_first_block(self) -> None:
+        """Puts a block down as soon as arm and fingers are known and leave it room."""
+        if self._knows_fingers:
+            self._offer_reset()
+        if self._missing or self._reset_service is None:
+            return
+        try:
+            self._reset(self._domain)
+        except ValueError as error:
+            self._no_block = str(error)
 
     def _advance_if_ready(self) -> None:
         """Lockstep: goes on once both commands of this tick are there."""
@@ -248,8 +331,10 @@ class FemSimulator(LeanNode):
         if self._tick % SLOW_TICKS == 0:
             self._publish_truth(stamp)
             self._publish_object_pose(stamp)
-            self._publish_gripper(stamp)
-        self._publish_joints(stamp)
+            if self._arm is None:
+                self._publish_gripper(stamp)
+        if self._arm is None:
+            self._publish_joints(stamp)
         if self._tick % MARKER_TICKS == 0:
             self._publish_markers()
 
@@ -386,6 +471,23 @@ class FemSimulator(LeanNode):
             self._commands["gripper"] = nanoseconds(message.header.stamp)
             self._advance_if_ready()
 
+    def _on_joints(self, message: JointState) -> None:
+        """Of a real arm."""
+        assert self._arm is not None
+        moment = seconds(message.header.stamp)
+        try:
+            self._arm.add_joints(moment, message.position[:7], time.monotonic())
+        except ValueError as error:
+            self._reject(error)
+
+    def _on_gripper(self, message: GripperState) -> None:
+        """Of a real gripper."""
+        assert self._arm is not None
+        try:
+            self._arm.add_width(seconds(message.header.stamp), message.width, time.monotonic())
+        except ValueError as error:
+            self._reject(error)
+
     def _reject(self, error: ValueError) -> None:
         self._rejected += 1
         self.get_logger().warning(f"rejected: {error}", throttle_duration_sec=1.0)
@@ -403,6 +505,7 @@ class FemSimulator(LeanNode):
         self._design_error = ""
         worn = fingers.content_hash == self._cell.fingers.content_hash
         self._next_fingers = None if worn else fingers
+        self._knows_fingers = True
         self._offer_reset()
 
     def _change_fingers(self) -> None:
@@ -426,14 +529,18 @@ class FemSimulator(LeanNode):
             return response
         self._paused = bool(request.paused) and self._lockstep
         response.success, response.domain = True, messages.domain_message(domain)
-        response.message = "block on the table, arm in its start posture"
+        arm = "in its start posture" if self._arm is None else "as it is"
+        response.message = f"block on the table, arm {arm}"
         response.fingers = self._cell.fingers.content_hash
         self._publish_state()
         return response
 
     def _reset(self, domain: TrialDomain) -> None:
-        self._change_fingers()
-        self._cell.reset(domain)
+        if self._arm is None:
+            self._change_fingers()
+            self._cell.reset(domain)
+        else:
+            self._reset_under(self._arm, domain)
         self._error = ""
         self._commands.clear()
         self._setpoints.clear()
@@ -441,6 +548,22 @@ class FemSimulator(LeanNode):
         # that what is published when does not depend on how long the last one took.
         self._tick = (self._tick // MARKER_TICKS + 1) * MARKER_TICKS
         self._publish_mesh(domain)
+
+    def _reset_under(self, arm: FollowedArm, domain: TrialDomain) -> None:
+        """A new block under a real arm, which does not move.
+
+        Raises:
+            ValueError: where the fingers are is not known, or they are in the way; nothing changed.
+        """
+        missing = arm.missing(time.monotonic())
+        if missing:
+            raise ValueError(f"{missing}: where the fingers are is not known")
+        joints, width = arm.at(self._moment * 1e-9)
+        self._cell.require_room(domain, joints, width, self._next_fingers or self._cell.fingers)
+        self._change_fingers()
+        self._cell.stand(joints, width)
+        self._cell.place_block(domain)
+        self._no_block = ""
 
     def _on_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._paused = True
@@ -469,13 +592,20 @@ class FemSimulator(LeanNode):
             "next_fingers": _label(self._next_fingers) if self._next_fingers else "",
             "designs_refused": self._designs_refused,
         }
+        behind, self._behind = self._behind, False
         self._busy, self._report_at, self._report_tick = 0.0, now, self._tick
         if self._error:
             return DiagnosticStatus.ERROR, self._error, values
+        if self._missing:
+            return DiagnosticStatus.ERROR, f"the fingers stand still: {self._missing}", values
+        if self._no_block:
+            return DiagnosticStatus.WARN, f"no block yet: {self._no_block}", values
         if self._design_error:
             return DiagnosticStatus.WARN, self._design_error, values
         if self._reset_service is None:
             return DiagnosticStatus.WARN, "waiting for /finger_design", values
+        if behind:
+            return DiagnosticStatus.WARN, "the fingers catch up with the arm's reports", values
         waiting = self._lockstep and not self._paused and now - self._sent_at > 1.0
         if waiting:
             return DiagnosticStatus.WARN, "waiting for /joint_command and /gripper_command", values
