@@ -144,7 +144,7 @@ def test_nodes_can_be_left_out() -> None:
 
 
 def test_profiles_start_nodes_that_exist() -> None:
-    for name in ("sim", "real"):
+    for name in ("sim", "sim_camera", "real", "arm_in_the_loop", "teleop"):
         for node in load_profile(name)["nodes"]:
             assert executable("codesign_nodes", node).exists()
 

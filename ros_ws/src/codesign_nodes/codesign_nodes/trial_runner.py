@@ -1,7 +1,8 @@
 """Node trial_runner: one trial as one action: prepare, reset, start, wait, judge, record.
 
 With a simulator in the graph the object and the arm are reset through it; without one the arm
-moves to its start posture and a person puts the object there.
+moves to its start posture and a person puts the object there. With a real arm and a simulated block
+the arm moves, then the simulator puts a new block down.
 """
 
 import math
@@ -97,6 +98,14 @@ class TrialRunner(LeanNode):
             high=600.0,
         )
         self._simulated = declare(self, "simulated", True, "the graph has a fem_simulator")
+        self._virtual = declare(
+            self,
+            "virtual_block",
+            False,
+            "with simulated: false: the block is simulated, in the hands of a real arm",
+        )
+        if self._virtual and self._simulated:
+            raise ValueError("virtual_block is for a real arm: it needs simulated: false")
         self._object_topic = declare(
             self,
             "object_pose_topic",
@@ -110,6 +119,14 @@ class TrialRunner(LeanNode):
             "of the way to the start posture on a real arm, share of the joints' velocity limit",
             low=0.01,
             high=1.0,
+        )
+        self._home_width = declare(
+            self,
+            "home_width",
+            0.0,
+            "gap to open to on that way [m]; 0: the gripper keeps its gap, and what it holds",
+            low=0.0,
+            high=0.084,
         )
         self._dry_run = declare(
             self, "dry_run", False, "the arm is told not to move: a trial shows what would be sent"
@@ -128,6 +145,7 @@ class TrialRunner(LeanNode):
         self._state = TrialState(state=TrialState.IDLE)
         self._log = TrialLog()
         self._tracking_error = math.inf  # of a real arm [rad]
+        self._seen = 0  # stamp of the newest pose that a camera told of a simulated block [ns]
         self._ended: Future | None = None
         self._heard_at = self._good_at = 0.0
         self._make_interfaces()
@@ -146,6 +164,8 @@ class TrialRunner(LeanNode):
             self.create_subscription(
                 ControllerStatus, "/cartesian_controller/status", self._on_controller, qos.STATE
             )
+        if self._virtual:
+            self.create_subscription(PoseStamped, "/object_pose", self._on_sight, qos.STATE)
         self._reset = self.create_client(ResetSimulation, "/fem_simulator/reset")
         self._pause = self.create_client(Trigger, "/fem_simulator/pause")
         self._resume = self.create_client(Trigger, "/fem_simulator/resume")
@@ -197,6 +217,9 @@ class TrialRunner(LeanNode):
     def _on_gripper(self, message: GripperState) -> None:
         if self._goal is not None:
             self._log.width[nanoseconds(message.header.stamp)] = message.width
+
+    def _on_sight(self, message: PoseStamped) -> None:
+        self._seen = nanoseconds(message.header.stamp)
 
     def _on_controller(self, message: ControllerStatus) -> None:
         self._tracking_error = message.tracking_error
@@ -282,6 +305,9 @@ class TrialRunner(LeanNode):
         if not self._simulated:
             await self.sleep(MATCH_PAUSE)
             await self._go_home()
+        if self._virtual:
+            domain = await self._reset_with(fingers, request)
+            await self._until_seen()
         return domain
 
     async def _design_stage(self) -> str:
@@ -308,11 +334,25 @@ class TrialRunner(LeanNode):
             f"{fingers[:12]}: see the simulator's log"
         )
 
+    async def _until_seen(self) -> None:
+        """Raises TrialError when nobody tells where the new block is: the old one is still told of
+        for a moment."""
+        reset_at = self.get_clock().now().nanoseconds
+        until = time.monotonic() + self._startup_timeout
+        while time.monotonic() < until:
+            if self._seen > reset_at:
+                return
+            await self.sleep(0.05)
+        raise TrialError(
+            f"no /object_pose of the new block within {self._startup_timeout} s: see the logs of "
+            "the camera and of tofu_pose_estimator"
+        )
+
     async def _go_home(self) -> None:
         if not self._move_to.wait_for_server(self._service_timeout):
             raise TrialError("cartesian_controller offers no move_to action")
         goal = await self._move_to.send_goal_async(
-            MoveTo.Goal(width=math.nan, speed_scale=self._home_speed)
+            MoveTo.Goal(width=self._home_width or math.nan, speed_scale=self._home_speed)
         )
         if not goal.accepted:
             raise TrialError("cartesian_controller refused to move to the start posture")
@@ -353,7 +393,8 @@ class TrialRunner(LeanNode):
         """The last samples may still be on their way when the policy says that it is done."""
         log = self._log
         series: list[dict[int, Any]] = [log.place]
-        series += [log.stress] if self._simulated else [log.tool, log.width]
+        by_stress = self._simulated or self._virtual
+        series += [log.stress] if by_stress else [log.tool, log.width]
         until = time.monotonic() + LAST_SAMPLES
         while time.monotonic() < until:
             if min(max(samples, default=0) for samples in series) >= (log.end or 0):
