@@ -5,7 +5,9 @@ the driver says that they are.
 """
 
 import json
+import re
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,9 +26,9 @@ from codesign_report.bag_outcome import read_outcome
 from codesign_report.replay import replay
 from tests.fake_box import FakeBox
 
-LIMIT = 300.0  # s of the whole job: rendering without a graphics card beside other tests
+LIMIT = 240.0  # s of one trial: rendering without a graphics card beside other tests
 
-pytestmark = pytest.mark.timeout(LIMIT + 60.0)
+pytestmark = pytest.mark.timeout(600.0)
 
 
 @pytest.fixture
@@ -47,32 +49,52 @@ def camera(tmp_path: Path) -> Path:
     return path
 
 
-def trials(
-    box: FakeBox, camera: Path, out: Path, count: int, *options: str
-) -> tuple[int, str, list[dict[str, Any]]]:
-    """Exit code, output and results of trials on an arm that somebody has enabled.
-
-    While all nodes start at once, a busy machine may starve the driver of the arm's reports; then
-    it wants to be enabled once more.
-    """
+@pytest.fixture
+def loop(box: FakeBox, camera: Path, tmp_path: Path) -> Iterator[Path]:
+    """The profile, running; its folder."""
     settings = [
         f"xarm_driver.address={box.address}",
         f"simulated_camera.camera_file={camera}",
         f"tofu_pose_estimator.camera_file={camera}",
         "fem_simulator.tetrahedra=600",
-        *options,
     ]
-    tools = executable("codesign_bringup", "run_trials").parent
-    run = f"exec run_trials --count {count} --out {out}"
     command = [
         str(executable("codesign_bringup", "bringup")), "arm_in_the_loop", "--quiet",
-        "--log-folder", str(out / "logs"), *(part for s in settings for part in ("--set", s)),
-        "--", "sh", "-c", f"PATH={tools}:$PATH; until operate enable; do sleep 1; done; {run}",
+        "--log-folder", str(tmp_path / "logs"), *(p for s in settings for p in ("--set", s)),
     ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
-    path = out / "trials.json"
-    found = json.loads(path.read_text())["trials"] if path.exists() else []
-    return done.returncode, done.stdout + done.stderr, found
+    process = subprocess.Popen(command)
+    yield tmp_path
+    process.terminate()
+    process.wait(30.0)
+
+
+def person(*command: str) -> subprocess.CompletedProcess[str]:
+    """What somebody at the arm types."""
+    path = str(executable("codesign_bringup", command[0]))
+    return subprocess.run([path, *command[1:]], capture_output=True, text=True, timeout=LIMIT)
+
+
+def trial(out: Path, seed: int) -> dict[str, Any]:
+    """A trial's result, of an arm that somebody has enabled.
+
+    Where a busy machine lets nodes stand still for 0.2 s the watchdogs rightly call it a fault,
+    most of all while everything starts; then that somebody recovers and tries again. No other
+    failure is tried again.
+    """
+    for attempt in range(5):
+        if person("operate", "enable").returncode:
+            time.sleep(2.0)
+            continue
+        folder = out / f"trial{seed}-{attempt}"
+        said = person("run_trials", "--count", "1", "--seed", str(seed), "--out", str(folder))
+        if said.returncode == 0:
+            (result,) = json.loads((folder / "trials.json").read_text())["trials"]
+            return result
+        health = person("operate", "status").stdout
+        if not re.search(r"ERROR +fault: no (measured|fresh)", health):
+            pytest.fail(said.stderr + health)
+        person("operate", "recover")
+    pytest.fail("the machine is too busy: every attempt ended in a watchdog's fault")
 
 
 def test_the_policy_is_started_as_in_the_simulator() -> None:
@@ -86,10 +108,9 @@ def test_the_policy_is_started_as_in_the_simulator() -> None:
 
 
 def test_two_trials_on_an_arm_with_a_block_that_only_pictures_show(
-    box: FakeBox, camera: Path, tmp_path: Path
+    box: FakeBox, loop: Path
 ) -> None:
-    code, said, results = trials(box, camera, tmp_path, 2)
-    assert code == 0, said
+    results = [trial(loop, seed) for seed in (0, 1)]
     assert not box.violations()
     assert len(box.servo_points()[0]) > 1000
     for result in results:
@@ -102,5 +123,6 @@ def test_two_trials_on_an_arm_with_a_block_that_only_pictures_show(
         again = replay(bag)
         assert again.identical, again.first
         assert again.unknown == 0
+        assert again.actions > 150
     first, second = (result["domain"] for result in results)
     assert first["x"] != second["x"]  # another block, put down under the arm
