@@ -167,6 +167,38 @@ def test_plays_exactly_what_was_commanded_a_little_later(rate: int) -> None:
     assert not player.violations
 
 
+def test_a_motion_that_begins_at_once_is_played_at_its_own_speed() -> None:
+    """Nothing to catch up on after the two set-points that matched."""
+    player = Player()
+    player.hold(HOME, 0.04)
+    assert player.stream.playing
+    began, first = player.now, len(player.points)
+    for k in range(1, 100):
+        player.send([HOME[0] + 0.5 * k * PERIOD, *HOME[1:]], began + k * PERIOD)
+        player.tick()
+    velocity = np.diff(np.array(player.points[first:])[:, 0]) / PERIOD
+    assert velocity.max() < 0.5001
+    assert velocity[10:] == pytest.approx(0.5, abs=1e-4)
+    assert not player.violations
+
+
+def test_a_stop_is_played_to_its_end_as_it_was_made() -> None:
+    """Braking once more before its last set-points would be another motion."""
+    player = Player()
+    player.hold(HOME, 0.3)
+    began, sent = player.now, []
+    first = len(player.points)
+    for k in range(60):
+        s = min(k / 30.0, 1.0)
+        sent.append(HOME[0] + 0.02 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+        if s < 1.0 or sent[-1] != sent[-2]:  # then silence
+            player.send([sent[-1], *HOME[1:]], began + k * PERIOD)
+        player.tick()
+    played = np.array(player.points[first:])[:, 0]
+    late = round(player.config.delay / PERIOD) - 1
+    assert played[late : late + 31] == pytest.approx(sent[:31], abs=1e-9)
+
+
 def test_jitter_of_the_sender_does_not_show() -> None:
     player, random = Player(), np.random.default_rng(0)
     player.hold(HOME, 0.3)

@@ -17,6 +17,7 @@ from codesign_control.setpoint_buffer import SetpointBuffer
 CATCH_UP = 1.2  # fastest play, of real time
 RAMP = 0.05  # change of the play's speed in one tick, upwards
 BRAKING = 0.025  # s of set-points left below which play slows down; full speed to 0 in 50 ms
+STANDING = 0.02  # rad/s; a last set-point that is slower ends a stop by itself
 LARGEST_LAG = 0.3  # s; a play that is further behind is given up
 
 
@@ -28,6 +29,7 @@ class Playback:
         self._points = SetpointBuffer()
         self._moment = self._newest = -math.inf
         self._speed = 1.0
+        self._last, self._last_speed = np.zeros(7), 0.0
         self._offset = np.zeros(7)
         self._offset_left = 0.0
 
@@ -36,7 +38,9 @@ class Playback:
         self._points.clear()
         self._points.add(moment, position)
         self._newest = moment
-        self._moment = moment - self._config.delay
+        self._last, self._last_speed = position, 0.0
+        # A period earlier: the next tick then plays at full speed, and has nothing to catch up on.
+        self._moment = moment - self._config.delay - self._config.period
         self._speed = 1.0
         self._offset = np.asarray(measured, float) - position
         self._offset_left = 1.0
@@ -44,6 +48,9 @@ class Playback:
     def add(self, moment: float, position: np.ndarray) -> None:
         """Appends a set-point that is meant for a later moment than those before."""
         self._points.add(moment, position)
+        moved = float(np.abs(position - self._last).max())
+        self._last_speed = moved / max(moment - self._newest, 1e-6)
+        self._last = position
         self._newest = moment
 
     @property
@@ -59,7 +66,8 @@ class Playback:
         """The point of the next tick. Call once per tick, after `begin`."""
         period = self._config.period
         wanted = min(max(self.lag(now) / period, 0.0), CATCH_UP)
-        wanted = min(wanted, math.sqrt(max(self.left, 0.0) / BRAKING))
+        if self._last_speed > STANDING:
+            wanted = min(wanted, math.sqrt(max(self.left, 0.0) / BRAKING))
         self._speed = min(wanted, self._speed + RAMP)
         self._moment = min(self._moment + self._speed * period, self._newest)
         point = self._points.at(self._moment)
