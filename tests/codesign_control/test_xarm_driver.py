@@ -169,12 +169,14 @@ def test_the_gripper_goes_where_it_is_told(kind: str, second_port: bool) -> None
 def test_a_target_is_sent_once_and_what_is_held_stops_it(rig: Rig) -> None:
     rig.stream()
     rig.box.switch(gripper_obstacle=300.0)
+    asked = time.monotonic()
     for _ in range(30):
         rig.driver.command_gripper(0.0, speed=0.2, effort=0.1)
         time.sleep(0.02)
     writes = [r for r in rig.box.commands("gripper") if "target" in r]
     assert len(writes) == 1
     assert writes[0]["force"] == 10
+    assert writes[0]["t"] - asked > rig.config.delay  # not before the arm has made room for it
     wait_for(lambda: not rig.readings[-1].moving and rig.readings[-1].width < 0.05, 5.0, "grip")
     stopped = 110.0 * math.sin(math.radians(300.0 / 18.28 - 8.33)) + 16.0  # SDK's formula, mm
     assert rig.readings[-1].width == pytest.approx(stopped * 1e-3, abs=1e-4)

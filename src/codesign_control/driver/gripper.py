@@ -6,6 +6,7 @@ import contextlib
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -89,8 +90,14 @@ class GripperG2:
         link.move_g2(min(max(gap + 0.05, 0.0), 84.0), speed * 1e3, max(1.0, effort * 100.0))
 
 
+Target = tuple[float, float, float]  # gap [m], speed of the gap [m/s], share of the largest force
+
+
 class GripperThread:
     """Reads at its rate, and sends the newest target where that has changed.
+
+    Targets wait as long as the arm's set-points do: closing fingers move forward, and the arm has
+    to have made room for them by then.
 
     Args:
         on_reading: called with every reading, in this thread.
@@ -104,7 +111,8 @@ class GripperThread:
         self._on_reading = on_reading
         self._link: ArmLink | None = None
         self._allowed = False
-        self._wanted: tuple[float, float, float] | None = None
+        self._targets: deque[tuple[float, Target]] = deque(maxlen=64)  # with the moments to go at
+        self._wanted: Target | None = None
         self._sent: float | None = None
         self._kind = self._make_kind(GripperModel())
         self._last: GripperReading | None = None
@@ -129,20 +137,24 @@ class GripperThread:
 
     def mount(self, model: GripperModel) -> None:
         """Other fingers: gaps are theirs from now on; a target is only taken anew."""
-        self._wanted = self._sent = None
+        self._forget()
         self._kind = self._make_kind(model)
 
     def attach(self, link: ArmLink | None) -> None:
         """A new connection, or none: nothing is sent until `allow`."""
         self._allowed = False
-        self._wanted = self._sent = None
+        self._forget()
         self._link = link
 
     def allow(self, allowed: bool) -> None:
         """Whether targets are sent; what was wanted before counts no more."""
         if allowed != self._allowed:
-            self._wanted = self._sent = None
+            self._forget()
         self._allowed = allowed and not self._config.dry_run
+
+    def _forget(self) -> None:
+        self._targets.clear()
+        self._wanted = self._sent = None
 
     def command(self, width: float, speed: float, effort: float) -> None:
         """Takes a target: gap [m], speed of the gap [m/s], share of the largest force.
@@ -163,11 +175,12 @@ class GripperThread:
                 "outside_limits",
                 f"gripper speed {speed} m/s, effort {effort}: must be 0 or more, and 0..1",
             )
-        self._wanted = (
+        target = (
             self._kind.model.clip(width),
             speed or self._config.gripper_speed,
             effort or self._config.gripper_effort,
         )
+        self._targets.append((time.monotonic() + self._config.delay, target))
 
     def _run(self) -> None:
         period = 1.0 / self._config.gripper_rate
@@ -186,6 +199,8 @@ class GripperThread:
             self._stop.wait(max(0.0, due - time.monotonic()))
 
     def _turn(self, link: ArmLink) -> None:
+        while self._targets and self._targets[0][0] <= time.monotonic():
+            self._wanted = self._targets.popleft()[1]
         wanted = self._wanted
         changed = wanted is not None and (
             self._sent is None or abs(wanted[0] - self._sent) >= SMALLEST_CHANGE
