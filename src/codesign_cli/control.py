@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -85,36 +86,63 @@ def bench(
     _print({"steps": steps, "p50_us": p50, "p99_us": p99, "max_us": worst}, as_json)
 
 
+class Through(StrEnum):
+    """How far hostile actions are followed."""
+
+    servo = "servo"
+    driver = "driver"
+
+
 @app.command()
 def adversarial(
     actions: Annotated[int, typer.Option(min=1, help="Hostile actions to send.")] = 1_000_000,
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal results.")] = 0,
+    through: Annotated[
+        Through,
+        typer.Option(help="driver: on through the arm's driver, to what would be on the wire."),
+    ] = Through.servo,
+    box_log: Annotated[
+        Path | None,
+        typer.Option(help="File for that, as a control box logs it: JSON lines, 0.3 kB a point."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Send a servo the worst actions there are and check every set-point that comes out.
 
     NaN, infinite and huge ones, floods, sawteeth, pushes towards singularities, joint limits, the
-    arm itself, the table and the corners of the workspace box. Exit code 1: a limit was violated.
+    arm itself, the table and the corners of the workspace box. Through the driver, that gets
+    hostile set-points as well. Exit code 1: a limit was violated; 2: --box-log without a driver.
     """
     from rich.console import Console
     from rich.progress import Progress
 
     from codesign_control import adversary
 
+    if box_log and through is not Through.driver:
+        typer.echo("--box-log: only with --through driver, else there is no wire", err=True)
+        raise typer.Exit(2)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("actions", total=actions)
 
         def show(done: int, _: adversary.Outcome) -> None:
             progress.update(task, completed=done)
 
-        outcome = adversary.run(actions, seed, progress=show)
+        outcome = adversary.run(
+            actions,
+            seed,
+            progress=show,
+            through_driver=through is Through.driver,
+            box_log_file=box_log,
+        )
     assert outcome.limits is not None
     if as_json:
         typer.echo(json.dumps(outcome.to_dict()))
     else:
         _print_limits(outcome.limits)
-        _print(dict(outcome.counts), as_json=False)
-    raise typer.Exit(1 if outcome.limits.violations else 0)
+        for found in outcome.wire[:5]:
+            typer.echo(f"on the wire: {found}")
+        _print({**outcome.counts, "wire_violations": len(outcome.wire)}, as_json=False)
+    raise typer.Exit(1 if outcome.violations else 0)
 
 
 def _print_limits(report: LimitReport) -> None:

@@ -1,15 +1,23 @@
-"""The worst streams of actions that we can think of, and what the servo makes of them."""
+"""The worst streams of actions that we can think of, and what the servo makes of them.
+
+Also with the arm's driver behind it, up to what would be on the wire.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
+import json
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from codesign_control.clearance import Clearance
 from codesign_control.config import ServoConfig
+from codesign_control.driver import CommandRefused, box_log
+from codesign_control.driver.rehearsal import Rehearsal
 from codesign_control.finger_reach import FingerReach
 from codesign_control.gripper import GripperModel
 from codesign_control.hand import STOCK_BOX, Hand
@@ -39,24 +47,39 @@ RUBBISH: tuple[Action, ...] = (
 )
 # How actions come: ticks per action, or actions per tick when negative; and how often.
 TEMPOS = ((5, 0.02), (1, 0.1), (-20, 0.88))
+HOSTILE_SET_POINTS = 0.05  # per tick, at the driver's own door
 
 
 @dataclass
 class Outcome:
-    """What a run found; `limits` is None before the first episode."""
+    """What a run found; `limits` is None before the first episode.
+
+    wire: with a driver, what must never be on the wire and was.
+    """
 
     limits: LimitReport | None = None
+    wire: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
     limit_ticks: Counter[str] = field(default_factory=Counter)
     slowest_stop_s: float = 0.0
+    simulated_s: float = 0.0  # with a driver
     starts_refused: int = 0
+
+    @property
+    def violations(self) -> int:
+        """Of every limit together."""
+        return len(self.wire) + (self.limits.violations if self.limits else 0)
 
     def to_dict(self) -> dict[str, object]:
         """Plain data for JSON."""
         checked = self.limits.to_dict() if self.limits else {}
         return checked | {
+            "violations": self.violations,
+            "wire_violations": len(self.wire),
+            "first_wire_violations": self.wire[:5],
             **self.counts,
             "slowest_stop_s": round(self.slowest_stop_s, 3),
+            "simulated_s": round(self.simulated_s, 1),
             "starts_refused": self.starts_refused,
             "ticks_at_limit": dict(self.limit_ticks),
         }
@@ -67,10 +90,16 @@ def run(
     seed: int,
     config: ServoConfig | None = None,
     progress: Callable[[int, Outcome], None] | None = None,
+    *,
+    through_driver: bool = False,
+    box_log_file: Path | None = None,
 ) -> Outcome:
     """Sends `actions` hostile actions to a servo and checks every set-point that comes out.
 
     progress: called after every episode with the number of actions and the outcome so far.
+    through_driver: the set-points go on to the arm's driver, and what it would put on the wire is
+    checked: every limit of the servo, and what a control box must never see. box_log_file: then
+    gets that, a JSON line per point.
     Equal arguments give equal results. The arm follows every set-point exactly.
     """
     random, outcome, arm = np.random.default_rng(seed), Outcome(), Xarm7()
@@ -78,9 +107,12 @@ def run(
     servos = [CartesianServo(arm, config, hand) for hand in _hands()]
     hands = _hands()
     done = 0
+    if box_log_file:
+        box_log_file.write_text("")
     while done < actions:
         which = int(random.integers(len(servos)))
-        episode = Episode(servos[which], hands[which], random, outcome)
+        follower = Driven(random, outcome, box_log_file) if through_driver else Exact()
+        episode = Episode(servos[which], hands[which], random, outcome, follower)
         episode.run(min(EPISODE, actions - done))
         done += min(EPISODE, actions - done)
         if progress:
@@ -103,19 +135,159 @@ def _box_fingers(box: np.ndarray) -> FingerReach:
     return FingerReach(corners, corners * [1.0, -1.0, 1.0])
 
 
+class Follower(Protocol):
+    """What is behind the servo.
+
+    reached: the last posture that the arm was sent to, (7,) [rad].
+    ticks_to_begin: of standing set-points that it wants to see before it moves.
+    """
+
+    ticks_to_begin: int
+
+    @property
+    def reached(self) -> np.ndarray: ...
+
+    def place(self, posture: np.ndarray) -> np.ndarray:
+        """Puts the arm there; the posture (7,) [rad] that it then measures."""
+
+    def follow(self, output: ServoOutput) -> np.ndarray:
+        """One tick; what the arm measures then."""
+
+    def gripper_target(self, target: float) -> float:
+        """Once a tick: the gap [m] that the gripper is told, when the servo says `target`."""
+
+    def close(self) -> None:
+        """After the last tick."""
+
+
+class Exact:
+    """An arm that is where each set-point sends it."""
+
+    ticks_to_begin = 0
+
+    def __init__(self) -> None:
+        self.reached = np.zeros(7)
+
+    def place(self, posture: np.ndarray) -> np.ndarray:
+        """As Follower."""
+        self.reached = posture
+        return posture
+
+    def follow(self, output: ServoOutput) -> np.ndarray:
+        """As Follower."""
+        self.reached = output.position
+        return output.position
+
+    def gripper_target(self, target: float) -> float:
+        """As Follower."""
+        return target
+
+    def close(self) -> None:
+        """As Follower."""
+
+
+class Driven:
+    """The arm's driver on a simulated clock, with somebody who sends it rubbish as well."""
+
+    ticks_to_begin = 10  # two are enough, but rubbish may come between
+
+    def __init__(
+        self, random: np.random.Generator, outcome: Outcome, log: Path | None = None
+    ) -> None:
+        self._random, self._outcome, self._log = random, outcome, log
+        self._rehearsal = Rehearsal()
+        # s, of a set-point when the driver wakes: two clocks of one rate.
+        config = self._rehearsal.config
+        self._age = float(random.uniform(0.0, config.period))
+        self._targets: deque[float] = deque(maxlen=1 + round(config.delay / config.period))
+
+    @property
+    def reached(self) -> np.ndarray:
+        """Before the wire's single precision, whose last digits would show in the jerk."""
+        return self._rehearsal.sent
+
+    def place(self, posture: np.ndarray) -> np.ndarray:
+        """As Follower."""
+        self._rehearsal.place(posture)
+        return self._rehearsal.measured.position
+
+    def follow(self, output: ServoOutput) -> np.ndarray:
+        """As Follower."""
+        rehearsal = self._rehearsal
+        if self._random.random() < HOSTILE_SET_POINTS:
+            self._send(*self._hostile())
+            self._outcome.counts["set_points_hostile"] += 1
+        if output.active:
+            self._send(output.position, rehearsal.now - self._age)
+            self._outcome.counts["set_points_to_the_driver"] += 1
+        rehearsal.tick()
+        return self._rehearsal.measured.position
+
+    def gripper_target(self, target: float) -> float:
+        """As Follower: as soon as the driver's gripper thread may send it, which seldom does."""
+        self._targets.append(target)
+        return self._targets[0]
+
+    def _send(self, position: object, moment: float) -> None:
+        try:
+            self._rehearsal.driver.command(position, moment)
+        except CommandRefused:
+            return
+
+    def _hostile(self) -> tuple[object, float]:
+        """A set-point and its moment, of which at least one is none."""
+        near, now = self._rehearsal.sent, self._rehearsal.now
+        joint = np.eye(7)[self._random.integers(7)]
+        between = now - self._age - self._rehearsal.config.period / 2.0
+        jump = self._random.choice([-1.0, 1.0]) * self._random.uniform(0.1, 3.0)
+        cases: tuple[tuple[object, float], ...] = (
+            (near + np.nan * joint, between),
+            (near + np.inf * joint, between),
+            (near + 1e30 * joint, between),
+            (near + jump * joint, between),
+            (near[:6], between),
+            (near, now - 0.5),
+            (near, now + 0.5),
+            (near, np.nan),
+        )
+        return cases[self._random.integers(len(cases))]
+
+    def close(self) -> None:
+        """Checks what was on the wire."""
+        status, counts = self._rehearsal.driver.status(), self._outcome.counts
+        counts["points_on_the_wire"] += status.points_sent
+        counts["points_held"] += status.points_held
+        counts["pauses"] += status.pauses
+        counts.update({f"refused_{reason}": n for reason, n in status.refused.items()})
+        records, config = self._rehearsal.records, self._rehearsal.config
+        self._outcome.wire += box_log.violations(records, config.largest_step)
+        begin = self._outcome.simulated_s + 1.0  # after a pause, as the box's clock goes on
+        self._outcome.simulated_s = begin + self._rehearsal.now
+        if self._log:
+            with self._log.open("a") as file:
+                for record in records:
+                    file.write(json.dumps(record | {"t": begin + record["t"]}) + "\n")
+
+
 class Episode:
     """One start of a servo, a stream of actions, and the check of all that came out."""
 
     def __init__(
-        self, servo: CartesianServo, hand: Hand, random: np.random.Generator, outcome: Outcome
+        self,
+        servo: CartesianServo,
+        hand: Hand,
+        random: np.random.Generator,
+        outcome: Outcome,
+        follower: Follower,
     ) -> None:
+        self._follower = follower
         self._servo, self._hand, self._random, self._outcome = servo, hand, random, outcome
         self._clearance = Clearance(servo.config, hand)
         self._arm = Xarm7()
         self._now, self._width_target = 0.0, hand.gripper.max_width
         self._gripper = GripperModel(hand.gripper.protrusion, width=0.06)
         self._position = self._start()
-        self._log = [self._position] * 4
+        self._log = [follower.reached] * 4
         self._widths = [(0.06, 0.06)] * 4
         self._output: ServoOutput | None = None
 
@@ -129,6 +301,7 @@ class Episode:
                 start = random.uniform(np.maximum(arm.lower, -3.0), np.minimum(arm.upper, 3.0))
             else:
                 start = arm.home + 0.3 * random.normal(size=7)
+            start = self._follower.place(start)
             try:
                 self._servo.enable(start, self._now)
             except MoveRejected:
@@ -138,6 +311,7 @@ class Episode:
 
     def run(self, actions: int) -> None:
         """Sends that many actions, waits for the stop, disables, checks."""
+        self._step(self._follower.ticks_to_begin)
         sent = 0
         while sent < actions:
             stream = self._stream()
@@ -154,6 +328,7 @@ class Episode:
             if self._random.random() < 0.05:
                 self._interfere()
         self._stop()
+        self._follower.close()
         self._check()
 
     def _tempo(self) -> int:
@@ -179,10 +354,11 @@ class Episode:
         for _ in range(ticks):
             self._servo.observe_gripper(self._gripper.width)
             output = self._servo.step(self._position, self._now)
-            self._output, self._position = output, output.position
+            self._output, self._position = output, self._follower.follow(output)
             self._now += self._servo.config.period
-            self._log.append(output.position)
+            self._log.append(self._follower.reached)
             target = self._gripper.width if output.gripper is None else output.gripper
+            target = self._follower.gripper_target(target)
             self._widths.append((self._gripper.width, target))
             self._gripper.step(target, self._servo.config.period, 0.2)
 
@@ -207,6 +383,7 @@ class Episode:
             self._servo.reset_fault(self._position, self._now)
         if self._servo.state is ServoState.DISABLED:
             self._servo.enable(self._position, self._now)
+            self._step(self._follower.ticks_to_begin)
 
     def _stop(self) -> None:
         """Silence: how long until it stands."""

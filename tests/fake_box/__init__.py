@@ -26,11 +26,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from codesign_control.driver import box_log
+
 ROOT = Path(__file__).parents[2]
-# SDK x_config.py, xArm7 from serial XI1305 on; J6 as xarm_ros2.
-LOWER = np.array([-6.28319, -2.04204, -6.28319, -0.10472, -6.28319, -1.69297, -6.28319])  # rad
-UPPER = np.array([6.28319, 2.02459, 6.28319, 3.92700, 6.28319, 3.14160, 6.28319])  # rad
-ROUNDING = 2e-6  # rad: the wire carries single precision
 _aliases = itertools.count(1)
 
 
@@ -142,24 +140,7 @@ class FakeBox:
         before, or, after a pause [s] or an error, further than `first_step` rad from where the
         arm was.
         """
-        found, before, when = [], None, -np.inf
-        for record in self.commands("servo_j"):
-            point = np.array(record["joints"], float)
-            at = f"t={record['t']:.3f}"
-            if point.shape != (7,) or not np.isfinite(point).all():
-                found.append(f"{at}: not finite: {point.tolist()}")
-                continue
-            if (point < LOWER - ROUNDING).any() or (point > UPPER + ROUNDING).any():
-                found.append(f"{at}: outside the joint limits: {point.tolist()}")
-            begins = before is None or record["t"] - when > pause
-            reference = np.array(record["measured"]) if begins else before
-            step = float(np.abs(point - reference).max())
-            if step > (first_step if begins else largest_step) + ROUNDING:
-                found.append(
-                    f"{at}: step of {step:.4f} rad ({'first' if begins else 'next'} point)"
-                )
-            before, when = point, record["t"]
-        return found
+        return box_log.violations(self.records(), largest_step, first_step, pause)
 
 
 def wait_for(condition: Callable[[], Any], timeout: float, what: str) -> Any:

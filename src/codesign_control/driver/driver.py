@@ -79,8 +79,10 @@ class XarmDriver:
     Args:
         on_joints, on_gripper: called for each report of the arm and each reading of the gripper,
             in threads of the driver; they must be quick.
+        clock: steady [s]; make_link: makes a connection. Others than these only where time and arm
+            are simulated.
 
-    All times are of `time.monotonic` [s]. Methods may be called from any thread.
+    All times are of that clock [s]. Methods may be called from any thread.
     """
 
     def __init__(
@@ -88,8 +90,12 @@ class XarmDriver:
         config: DriverConfig,
         on_joints: Callable[[Measured], None] = lambda _: None,
         on_gripper: Callable[[GripperReading], None] = lambda _: None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        make_link: Callable[[DriverConfig, Callable[[np.ndarray], None]], ArmLink] = ArmLink,
     ) -> None:
         self.config = config
+        self._clock, self._make_link = clock, make_link
         self._on_joints = on_joints
         self._stream = CommandStream(config)
         self._gripper = GripperThread(config, on_gripper)
@@ -184,7 +190,7 @@ class XarmDriver:
         Raises:
             CommandRefused: it goes no further; counted by its reason.
         """
-        self._stream.command(position, moment, time.monotonic())
+        self._stream.command(position, moment, self._clock())
 
     def command_gripper(self, width: float, speed: float = 0.0, effort: float = 0.0) -> None:
         """Takes a target of the gripper: gap [m], speed [m/s], share of the largest force.
@@ -291,7 +297,7 @@ class XarmDriver:
     def _take_report(self, link: ArmLink, joints: np.ndarray) -> None:
         if link is not self._link or not np.isfinite(joints).all():
             return
-        now = time.monotonic()
+        now = self._clock()
         self._reports.append((now, joints))
         self._measured = Measured(now, joints, self._slope())
         self._on_joints(self._measured)
@@ -379,7 +385,7 @@ class XarmDriver:
     def _connect(self) -> None:
         self._reports.clear()
         self._measured = None
-        link = ArmLink(self.config, lambda joints: self._take_report(link, joints))
+        link = self._make_link(self.config, lambda joints: self._take_report(link, joints))
         try:
             link.connect()
             self._error, self._warning = link.errors()
@@ -393,7 +399,7 @@ class XarmDriver:
         with self._lock:
             self._link = link
             self._connections += 1
-            self._linked_at = time.monotonic()
+            self._linked_at = self._clock()
             message = "connected, call enable"
             if self.config.dry_run:
                 message = "connected, dry run: motion stays disabled"
@@ -407,7 +413,7 @@ class XarmDriver:
     def _look_after(self, link: ArmLink) -> None:
         """Drops a dead connection; finds out what an error is."""
         last = self._measured.moment if self._measured else self._linked_at
-        silent = time.monotonic() - last
+        silent = self._clock() - last
         if not link.connected or silent > self.config.report_timeout:
             why = "closed" if not link.connected else f"silent for {silent:.2f} s"
             self._drop(
@@ -420,7 +426,7 @@ class XarmDriver:
         self._look_at_errors(link)
 
     def _look_at_errors(self, link: ArmLink) -> None:
-        now = time.monotonic()
+        now = self._clock()
         if now - self._looked_at < POLL_PERIOD:
             return
         self._looked_at = now
