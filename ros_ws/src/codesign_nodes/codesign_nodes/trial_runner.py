@@ -51,6 +51,7 @@ RESETS = 5  # until the simulator wears the fingers that the policy is ready for
 MATCH_PAUSE = 0.5
 RESET_PAUSE = 0.5  # s
 LAST_SAMPLES = 5.0  # s, longest wait for them on a busy machine
+OPENED = 0.002  # m, a gripper this close to its gap has it
 FOLLOWED = 0.02  # rad, a real arm this close to its set-points follows them
 
 
@@ -145,6 +146,7 @@ class TrialRunner(LeanNode):
         self._state = TrialState(state=TrialState.IDLE)
         self._log = TrialLog()
         self._tracking_error = math.inf  # of a real arm [rad]
+        self._gap, self._gap_moves = math.nan, True  # of a real gripper [m]
         self._seen = 0  # stamp of the newest pose that a camera told of a simulated block [ns]
         self._ended: Future | None = None
         self._heard_at = self._good_at = 0.0
@@ -215,6 +217,7 @@ class TrialRunner(LeanNode):
             self._log.tool[nanoseconds(message.header.stamp)] = _position(message)
 
     def _on_gripper(self, message: GripperState) -> None:
+        self._gap, self._gap_moves = message.width, message.moving
         if self._goal is not None:
             self._log.width[nanoseconds(message.header.stamp)] = message.width
 
@@ -361,6 +364,8 @@ class TrialRunner(LeanNode):
             raise TrialError(f"start posture not reached: {result.message}")
         if not self._dry_run:
             await self._until_followed()
+            if self._home_width:
+                await self._until_open()
 
     async def _until_followed(self) -> None:
         """Raises TrialError when the arm is not where the set-points went, as a disabled one."""
@@ -372,6 +377,15 @@ class TrialRunner(LeanNode):
             f"the arm is {self._tracking_error:.3f} rad away from the start posture: is its driver "
             "enabled? `operate status` says, `operate enable` does it"
         )
+
+    async def _until_open(self) -> None:
+        """Returns once the gripper has its gap, or stands where the fingers stop it."""
+        until = time.monotonic() + self._service_timeout
+        while time.monotonic() < until and not abs(self._gap - self._home_width) < OPENED:
+            stands = not self._gap_moves and time.monotonic() > until - self._service_timeout + 1.0
+            if stands:
+                return
+            await self.sleep(0.05)
 
     async def _let_policy_work(self, request: RunTrial.Goal) -> None:
         self._heard_at = self._good_at = time.monotonic()
