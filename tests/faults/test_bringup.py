@@ -105,7 +105,7 @@ def test_the_exit_code_is_the_jobs(profile: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["moon"], "profile moon: not found; there are real, sim"),
+        (["moon"], "profile moon: not found; there are arm_in_the_loop, real"),
         (["sim", "--set", "tetrahedra=600"], "must be node.parameter=value"),
         (["sim", "--set", "camera.rate=3"], "--set names camera: not in this profile"),
         (["sim", "--dry-run"], "--dry-run: this profile has no such option"),
