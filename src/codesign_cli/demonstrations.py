@@ -112,7 +112,7 @@ def export_demonstrations(
 
     Exit codes: 0 done, 2 bad input: nothing is written.
 
-    Example: codesign policy export-demonstrations wide-12 --format lerobot --out runs/wide-12-lerobot
+    Example: codesign policy export-demonstrations wide-12 --format lerobot --out runs/lerobot
     """
     from codesign_policy.demonstrations import demonstrations_path, load_demonstrations
     from codesign_policy.lerobot_export import export_lerobot
