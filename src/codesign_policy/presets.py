@@ -36,7 +36,7 @@ class Preset:
         cloning: steps of regression to demonstrated actions that the control actor starts with.
         actor_rest: updates of the critics after that, before the actor follows them: critics that
             know little would lead it astray.
-        imitation: weight of staying close to demonstrated actions, in units of the values' size.
+        imitation: weight of staying close to the clone's actions, in units of the values' size.
         mean_rounds: whether every second round is played without exploration; it is these by which
             a search judges designs.
     """
@@ -134,8 +134,8 @@ FAST = Preset(
     design_std_range=(0.02, 0.1),
     actor_average=0.002,
     cloning=3000,
-    actor_rest=6000,
-    imitation=1.0,
+    actor_rest=4000,
+    imitation=0.3,
     mean_rounds=True,
 )
 

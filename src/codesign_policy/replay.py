@@ -70,8 +70,7 @@ FIELDS = tuple(f.name for f in fields(Transitions))
 class Batch:
     """B rows to learn from, as tensors.
 
-    `weight` makes their weighted mean that of the buffers; `demonstrated` marks the rows of the
-    first of two buffers.
+    `weight` makes their weighted mean that of the buffers.
     """
 
     observation: Tensor
@@ -81,7 +80,6 @@ class Batch:
     next_observation: Tensor
     terminated: Tensor
     weight: Tensor
-    demonstrated: Tensor
 
 
 class ReplayBuffer:
@@ -281,7 +279,7 @@ def sample_batch(
             f"{size} rows, {design_rows} of the design stage, from {shares} buffers: use multiples"
         )
     parts: dict[str, list[NDArray[Any]]] = {f.name: [] for f in fields(Batch)}
-    for k, buffer in enumerate(buffers):
+    for buffer in buffers:
         index, weight = buffer.draw(size // shares, design_rows // shares, random)
         rows = buffer.rows
         for name in FIELDS:
@@ -289,7 +287,6 @@ def sample_batch(
                 parts[name].append(getattr(rows, name)[index])
         parts["reward"].append(buffer.reward(weights, index))
         parts["weight"].append(weight)
-        parts["demonstrated"].append(np.full(len(index), k < shares - 1))
     return Batch(**{name: torch.from_numpy(np.concatenate(part)) for name, part in parts.items()})
 
 

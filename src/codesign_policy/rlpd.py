@@ -70,6 +70,7 @@ class Agent:
         spaces, preset: as given.
         updates: of the critics so far.
         acts: whether the control actor has learned anything yet.
+        cloned: whether it started from demonstrations.
     """
 
     def __init__(
@@ -93,8 +94,8 @@ class Agent:
         Raises:
             ValueError: a start design or direction of another size, or a start outside [-1, 1].
         """
-        self.spaces, self.preset, self.updates, self.acts = spaces, preset, 0, False
-        self._actor_from = 0
+        self.spaces, self.preset = spaces, preset
+        self.updates, self.acts, self.cloned, self._actor_from = 0, False, False, 0
         self._random = torch.Generator().manual_seed(seed)
         start = np.zeros(spaces.design) if start_design is None else np.asarray(start_design)
         if start.shape != (spaces.design,) or not (np.abs(start) <= 1.0).all():
@@ -122,6 +123,7 @@ class Agent:
             "control": ControlActor(seen, spaces.control, preset.hidden, self._random),
         }
         self.averaged = copy.deepcopy(self.actors["control"]).requires_grad_(False)
+        self.clone_actor = copy.deepcopy(self.averaged)
         per_parameter = preset.design_entropy_per_parameter
         self.temperatures: dict[Stage, Temperature] = {
             "design": Temperature(
@@ -135,6 +137,7 @@ class Agent:
             "critics": self.critics,
             "target_critics": self.target_critics,
             "averaged_actor": self.averaged,
+            "clone_actor": self.clone_actor,
             **{f"{stage}_actor": actor for stage, actor in self.actors.items()},
             **{f"{stage}_temperature": value for stage, value in self.temperatures.items()},
         }
@@ -233,7 +236,9 @@ class Agent:
             loss.backward()
             optimizer.step()
         self.averaged.load_state_dict(actor.state_dict())
-        self.acts, self._actor_from = True, self.updates + self.preset.actor_rest
+        self.clone_actor.load_state_dict(actor.state_dict())
+        self.cloned = self.acts = True
+        self._actor_from = self.updates + self.preset.actor_rest
         return distance.item()
 
     def update(self, batch: Batch) -> dict[str, float]:
@@ -311,26 +316,24 @@ class Agent:
         value = self.critics(observation, self._joint(stage, action)).mean(dim=0)
         temperature = self.temperatures[stage]
         loss = (weight * (temperature.value() * log_density - value)).sum()
-        if stage == "control" and self.preset.imitation:
-            loss = loss + self._imitation_loss(batch, rows, mean, value, log)
+        if stage == "control" and self.cloned:
+            loss = loss + self._imitation_loss(batch, rows, mean, value)
         entropy = -(weight * log_density.detach()).sum()
         log[f"{stage}_entropy"] = entropy.item()
         log[f"{stage}_temperature"] = temperature.value()
         return loss if temperature.target is None else loss + temperature.loss(entropy)
 
-    def _imitation_loss(
-        self, batch: Batch, rows: Tensor, mean: Tensor, value: Tensor, log: dict[str, float]
-    ) -> Tensor:
-        """Squared distance to demonstrated actions, in units of the values' size.
+    def _imitation_loss(self, batch: Batch, rows: Tensor, mean: Tensor, value: Tensor) -> Tensor:
+        """Squared distance to what the clone would do, in units of the values' size.
 
-        As of TD3+BC (Fujimoto and Gu 2021).
+        The scale is that of TD3+BC (Fujimoto and Gu 2021). Held near demonstrated actions alone,
+        the actor follows critics astray wherever it was not demonstrated what to do.
         """
-        shown = batch.demonstrated[rows]
-        error = (torch.tanh(mean) - batch.action[rows, self.spaces.design :]).square().sum(-1)
-        distance = (shown * error).sum() / shown.sum().clamp(min=1)
-        log["distance_to_demonstrations"] = distance.item()
-        scale = self.preset.imitation * value.detach().abs().mean().clamp(min=LEAST_VALUE)
-        return scale * distance
+        with torch.no_grad():
+            wanted = torch.tanh(self.clone_actor(batch.observation[rows])[0])
+        distance = (torch.tanh(mean) - wanted).square().sum(-1).mean()
+        scale = value.detach().abs().mean().clamp(min=LEAST_VALUE)
+        return self.preset.imitation * scale * distance
 
     def _descend(self, name: str, loss: Tensor) -> float:
         """One step of an optimizer down this loss; gradients of other parameters are not made."""
@@ -381,6 +384,7 @@ class Agent:
         state = {
             "updates": self.updates,
             "acts": self.acts,
+            "cloned": self.cloned,
             "actor_from": self._actor_from,
             "random": self._random.get_state(),
             "networks": {name: net.state_dict() for name, net in self._networks.items()},
@@ -401,7 +405,7 @@ class Agent:
         for name, optimizer in self._optimizers.items():
             optimizer.load_state_dict(copy.deepcopy(state["optimizers"][name]))
         self._random.set_state(state["random"])
-        self.updates, self.acts = state["updates"], state["acts"]
+        self.updates, self.acts, self.cloned = (state[n] for n in ("updates", "acts", "cloned"))
         self._actor_from = state["actor_from"]
 
 

@@ -28,7 +28,6 @@ def batch(in_control: list[bool], seed: int = 0, **change: torch.Tensor) -> Batc
         next_observation=torch.randn(count, 4, generator=random),
         terminated=torch.zeros(count, dtype=torch.bool),
         weight=torch.ones(count),
-        demonstrated=torch.zeros(count, dtype=torch.bool),
     )
     return replace(rows, **change)
 
@@ -285,33 +284,40 @@ class Parabola(torch.nn.Module):
         return value.expand(2, -1)
 
 
-def imitation(agent: Agent, rows: Batch) -> tuple[torch.Tensor, dict[str, float]]:
-    """The loss of a controller that answers 0 everywhere."""
-    log: dict[str, float] = {}
-    mean = torch.zeros(len(rows.reward), 2)
-    value = agent.critics(rows.observation, torch.zeros(len(rows.reward), 5)).mean(dim=0)
-    chosen = torch.ones(len(rows.reward), dtype=torch.bool)
-    return agent._imitation_loss(rows, chosen, mean, value, log), log
-
-
-def test_the_actor_is_held_near_demonstrated_actions() -> None:
-    """Of four rows the first two are shown."""
+def test_the_actor_is_held_near_the_clone() -> None:
+    """Which answers 0.5 and -0.1 everywhere; design rows do not count."""
     agent = Agent(SPACES, replace(SMALL, imitation=2.0), 0)
     agent.critics = Parabola(torch.tensor([0.5, 0.0]))  # type: ignore[assignment]
-    action = torch.zeros(4, 5)
-    action[:, 3:] = torch.tensor([[0.4, 0.0], [-0.5, 0.0], [0.4, 0.0], [0.5, 0.0]])
-    rows = batch([True] * 4, action=action, demonstrated=torch.tensor([True, True, False, False]))
-    loss, log = imitation(agent, rows)
-    # weight 2, values of 0.25 that count as LEAST_VALUE, mean of squared distances 0.16 and 0.25
-    assert loss.item() == pytest.approx(2.0 * LEAST_VALUE * 0.205)
-    assert log["distance_to_demonstrations"] == pytest.approx(0.205)
+    last = agent.clone_actor.layers[-1]
+    torch.nn.init.zeros_(last.weight)
+    last.bias = torch.nn.Parameter(torch.atanh(torch.tensor([0.5, -0.1, 0.0, 0.0])))
+    rows = batch([True, True, False, True])
+    mean = torch.atanh(torch.tensor([[0.5, -0.1], [0.4, 0.1], [0.5, 0.0]]))
+    value = torch.tensor([-0.25, 0.1, 0.2])  # of a size that counts as LEAST_VALUE
+    loss = agent._imitation_loss(rows, rows.in_control, mean, value)
+    assert loss.item() == pytest.approx(2.0 * LEAST_VALUE * (0.0 + 0.05 + 0.01) / 3, rel=1e-5)
 
 
-def test_nothing_is_imitated_without_demonstrations() -> None:
-    agent = Agent(SPACES, replace(SMALL, imitation=2.0), 0)
-    agent.critics = Parabola(torch.tensor([0.5, 0.0]))  # type: ignore[assignment]
-    loss, log = imitation(agent, batch([True] * 4))
-    assert (loss.item(), log["distance_to_demonstrations"]) == (0.0, 0.0)
+def test_only_a_clone_imitates() -> None:
+    """Without one the weight of imitation changes nothing."""
+    rows = batch([True, False, True, True, False, True])
+    agents = [Agent(SPACES, replace(SMALL, imitation=w), 0) for w in (0.0, 2.0)]
+    for agent in agents:
+        agent.update(rows)
+    seen = rows.observation.numpy()
+    np.testing.assert_array_equal(*(agent.act(seen, explore=False) for agent in agents))
+
+
+def test_after_cloning_the_actor_rests() -> None:
+    agent = Agent(SPACES, replace(SMALL, cloning=5, actor_rest=2), 0)
+    rows = batch([True, False, True, True, False, True])
+    seen = rows.observation.numpy()
+    agent.clone(seen, np.zeros((6, 2)))
+    cloned = agent.act(seen, explore=False)
+    for _ in range(2):
+        assert "control_entropy" not in agent.update(rows)
+        np.testing.assert_array_equal(agent.act(seen, explore=False), cloned)
+    assert "control_entropy" in agent.update(rows)
 
 
 def test_a_clone_acts_as_demonstrated_with_the_spread_that_is_wanted() -> None:
