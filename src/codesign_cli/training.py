@@ -420,6 +420,7 @@ def _finish(training: Training, config: RunConfig, out: Path, quiet: bool) -> No
     from codesign_policy.files import write_text
     from codesign_policy.selection import select_design
 
+    training.recall_best()
     design = config.design
     if config.learns_design:
         with _bar("judging designs", quiet) as shown:

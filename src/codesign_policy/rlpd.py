@@ -124,6 +124,7 @@ class Agent:
         }
         self.averaged = copy.deepcopy(self.actors["control"]).requires_grad_(False)
         self.clone_actor = copy.deepcopy(self.averaged)
+        self.best_actor = copy.deepcopy(self.averaged)
         per_parameter = preset.design_entropy_per_parameter
         self.temperatures: dict[Stage, Temperature] = {
             "design": Temperature(
@@ -138,6 +139,7 @@ class Agent:
             "target_critics": self.target_critics,
             "averaged_actor": self.averaged,
             "clone_actor": self.clone_actor,
+            "best_actor": self.best_actor,
             **{f"{stage}_actor": actor for stage, actor in self.actors.items()},
             **{f"{stage}_temperature": value for stage, value in self.temperatures.items()},
         }
@@ -163,14 +165,21 @@ class Agent:
         return torch.cat([whole[..., :split], d], dim=-1)
 
     @torch.no_grad()
-    def act(self, observation: NDArray[np.floating], *, explore: bool) -> NDArray[np.float32]:
+    def act(
+        self,
+        observation: NDArray[np.floating],
+        *,
+        explore: bool,
+        snapshot: nn.Module | None = None,
+    ) -> NDArray[np.float32]:
         """Control actions (n, 7) in [-1, 1] for observations (n, o).
 
-        Drawn from the control actor, or the mean of the averaged one: single updates sway what a
-        grasp at the edge of slipping does.
+        Drawn from the control actor, or the mean of the averaged one, or of a snapshot of that:
+        single updates sway what a grasp at the edge of slipping does.
         """
         if not explore:
-            return torch.tanh(self.averaged(self._seen(observation))[0]).numpy()
+            actor = self.averaged if snapshot is None else snapshot
+            return torch.tanh(actor(self._seen(observation))[0]).numpy()
         mean, log_std = self.actors["control"](self._seen(observation))
         return sample_squashed(mean, log_std, self._random)[0].numpy()
 
@@ -240,6 +249,19 @@ class Agent:
         self.cloned = self.acts = True
         self._actor_from = self.updates + self.preset.actor_rest
         return distance.item()
+
+    def snapshot(self) -> nn.Module:
+        """The averaged actor as it is now, for `act` and `remember`."""
+        return copy.deepcopy(self.averaged)
+
+    def remember(self, actor: nn.Module) -> None:
+        """Keeps a snapshot that has done better than any before."""
+        self.best_actor.load_state_dict(actor.state_dict())
+
+    def recall(self) -> None:
+        """Goes back to the averaged actor that was kept."""
+        for actor in (self.averaged, self.actors["control"]):
+            actor.load_state_dict(self.best_actor.state_dict())
 
     def update(self, batch: Batch) -> dict[str, float]:
         """One update of the critics; every `actor_period`-th time of actors and temperatures too,

@@ -16,7 +16,7 @@ from codesign_policy.codesign_env import COMPONENTS, CodesignEnv, built_design
 from codesign_policy.proposals import DESIGN_BOUND, DesignSearch, SearchSettings, fitness
 from codesign_policy.replay import ReplayBuffer
 from codesign_policy.rounds import Episodes, play_round
-from codesign_policy.run import METRICS, RunConfig
+from codesign_policy.run import METRICS, RunConfig, make_episodes
 from codesign_policy.training import Training
 
 FINE = 2400  # tetrahedra: optima of the coarse block sit at the slip threshold
@@ -69,7 +69,7 @@ def select_design(
     Raises:
         ValueError: no candidate can be printed and used.
     """
-    refined = refine(training, lambda share: progress(_SHARE * share))
+    refined = refine(training, config, lambda share: progress(_SHARE * share))
     found = _candidates(training, config, refined)
     named = [(o, d) for o, d in found if _usable(config.space, d)]
     if not named:
@@ -100,6 +100,7 @@ def select_design(
 
 def refine(
     training: Training,
+    config: RunConfig,
     progress: Callable[[float], None] = lambda share: None,
     generations: int = GENERATIONS,
 ) -> DesignSearch:
@@ -107,11 +108,12 @@ def refine(
 
     Args:
         training: a run that has learned designs.
+        config: its settings; the block is fine here, as it is where candidates are judged.
         progress: told the share that is done.
         generations: of the search, each two episodes per lane.
     """
-    episodes, search = training.episodes, training.proposer
-    lanes = episodes.environment.num_envs
+    search, lanes = training.proposer, config.lanes
+    episodes = make_episodes(replace(config, tetrahedra=FINE))
     if isinstance(search, DesignSearch):
         start = search.centre
     else:
@@ -123,6 +125,7 @@ def refine(
         played = play_round(episodes, lanes * k, training.act, rows, refined.propose())
         refined.judge(played.metrics)
         progress((k + 1) / rounds)
+    episodes.environment.close()
     return refined
 
 

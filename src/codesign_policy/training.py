@@ -91,6 +91,7 @@ class Training:
         experience: what was gathered online.
         history: one row per round.
         proposer: of designs; None where there is no design stage.
+        best_return: the highest mean return of a round without exploration.
     """
 
     def __init__(
@@ -125,6 +126,7 @@ class Training:
         self.proposer = proposer or self._actor_proposals()
         self._random = np.random.default_rng([config.seed, 1])
         self._rounds = self._transitions = self._updates = 0
+        self.best_return = -np.inf
 
     @property
     def transitions(self) -> int:
@@ -147,6 +149,14 @@ class Training:
         rows = self.demonstrations.rows
         control = rows.pick(rows.in_control)
         self.agent.clone(control.observation, control.action[:, self.agent.spaces.design :])
+
+    def recall_best(self) -> None:
+        """Goes back to the controller of the best round without exploration, if there was one.
+
+        Learning has its ups and downs; who is served last should not depend on where it stopped.
+        """
+        if self.best_return > -np.inf:
+            self.agent.recall()
 
     def run(
         self,
@@ -203,7 +213,13 @@ class Training:
         designs = self.proposer.propose() if self.proposer else None
         seed = np.random.SeedSequence([self.config.seed, self._rounds]).generate_state(1)[0]
         explores = self._explores
-        act = self._explore if explores else self.act
+        snapshot = self.agent.snapshot()  # learning goes on while it plays
+
+        def act(observation: Array) -> Array:
+            if explores:
+                return self._explore(observation)
+            return self.agent.act(observation, explore=False, snapshot=snapshot)
+
         played = play_round(self.episodes, int(seed % 2**31), act, self.experience, designs, learn)
         if self.proposer and not explores:
             self.proposer.judge(played.metrics)
@@ -211,7 +227,11 @@ class Training:
         total = time.perf_counter() - began
         seconds = {"simulation": played.simulation_seconds, "updates": learning}
         seconds["rest"] = total - sum(seconds.values())
-        return self._progress(played, losses, designs, seconds)
+        progress = self._progress(played, losses, designs, seconds)
+        if not explores and progress.episode_return > self.best_return:
+            self.best_return = progress.episode_return
+            self.agent.remember(snapshot)
+        return progress
 
     def _actor_proposals(self) -> Proposer | None:
         observation = self.episodes.design_observation
@@ -287,6 +307,7 @@ class Training:
             "proposer": self.proposer.state() if self.proposer else {},
             "random": random_state(self._random),
             "counts": [self._rounds, self._transitions, self._updates],
+            "best_return": self.best_return,
             "history": self.history,
         }
         save_checkpoint(folder, state, self.configuration())
@@ -314,6 +335,7 @@ class Training:
             self.proposer.restore(state["proposer"])
         restore_random(self._random, state["random"])
         self._rounds, self._transitions, self._updates = state["counts"]
+        self.best_return = state["best_return"]
         self.history = list(state["history"])
 
     def configuration(self) -> dict[str, Any]:

@@ -330,6 +330,29 @@ def test_curves_for_tensorboard_without_repetition(tmp_path: Path) -> None:
     assert "losses/critic_loss" in events.Tags()["scalars"]
 
 
+def test_the_best_round_without_exploration_is_gone_back_to() -> None:
+    agent = Agent(SPACES, replace(QUICK, mean_rounds=True), 0)
+    run = Training(agent, toy_episodes(4), replace(CONFIG, transitions=400))
+    played: list[tuple[float, torch.Tensor]] = []
+    take = Agent.snapshot
+
+    def snapshot(agent: Agent) -> torch.nn.Module:
+        actor = take(agent)
+        played.append((0.0, actor.layers[-1].bias.clone()))  # type: ignore[union-attr]
+        return actor
+
+    agent.snapshot = lambda: snapshot(agent)  # type: ignore[method-assign]
+    run.run()
+    assert len(run.history) == len(played)
+    # Rounds take turns, once the actor has learned anything; only those without noise are judged.
+    judged = [k for k in range(len(played)) if k % 2 == 0 and run.history[k - 1]["updates"] and k]
+    best = max(judged, key=lambda k: run.history[k]["episode_return"])
+    assert run.best_return == run.history[best]["episode_return"]
+    run.recall_best()
+    assert torch.equal(agent.averaged.layers[-1].bias, played[best][1])
+    assert torch.equal(agent.actors["control"].layers[-1].bias, played[best][1])
+
+
 def test_the_known_optimum_is_approached() -> None:
     """From the design (0, 0), which costs 6.5 per episode, to one that costs less than a tenth.
 
