@@ -19,9 +19,10 @@ learn() {
   codesign policy "$@" --out "$folder" --seed "$seed"
 }
 
-# beside: the run of the original gripper that was started last; its failure is ours.
-beside() {
-  wait $! || { echo "the original gripper's run failed: see $out/original.log" >&2; exit 1; }
+# yardstick: the original gripper, all of it.
+yardstick() {
+  learn "$out/original" train --space stock
+  learn "$out/original-tuned" finetune "$out/original"
 }
 
 if [ ! -d "$out/demonstrations" ]; then
@@ -29,13 +30,11 @@ if [ ! -d "$out/demonstrations" ]; then
   codesign policy demonstrate --space wide-12 --seed "$seed" --out "$out/demonstrations"
 fi
 step "co-design; beside it the original gripper (see $out/original.log)"
-learn "$out/original" train --space stock >>"$out/original.log" 2>&1 &
+yardstick >>"$out/original.log" 2>&1 &
 learn "$out/codesign" train --demonstrations "$out/demonstrations"
-beside
 step "fine-tuning with more weight on stress"
-learn "$out/original-tuned" finetune "$out/original" >>"$out/original.log" 2>&1 &
 learn "$out/codesign-tuned" finetune "$out/codesign"
-beside
+wait $! || { echo "the original gripper's run failed: see $out/original.log" >&2; exit 1; }
 step "evaluation: 50 episodes with each, 2,400 tetrahedra"
 for name in codesign original; do
   codesign policy evaluate --checkpoint "$out/$name-tuned" --json >"$out/$name-evaluation.json"

@@ -50,7 +50,7 @@ def train(
             "component in the direction in which demonstrated designs differ most."
         ),
     ] = "full",
-    transitions: TransitionsOption = 240_000,
+    transitions: TransitionsOption = 120_000,
     seed: SeedOption = 0,
     lanes: LanesOption = 16,
     demonstrations: Annotated[
@@ -124,7 +124,7 @@ def train(
 def finetune(
     run: Annotated[Path, typer.Argument(help="Folder of the run to go on from.")],
     out: OutOption,
-    transitions: TransitionsOption = 60_000,
+    transitions: TransitionsOption = 40_000,
     tets: Annotated[int, typer.Option(help="Resolution of the block: 600 or 2400.")] = 2400,
     stress_factor: Annotated[
         float, typer.Option(min=0.0, help="On the weight of stress in the reward.")

@@ -135,7 +135,7 @@ FAST = Preset(
     actor_average=0.002,
     cloning=3000,
     actor_rest=4000,
-    imitation=0.3,
+    imitation=3.0,
     mean_rounds=True,
 )
 

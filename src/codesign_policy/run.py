@@ -74,7 +74,7 @@ class RunConfig:
     preset: str = "fast"
     discount: float = 0.0
     search: bool = True
-    transitions: int = 240_000
+    transitions: int = 120_000
     seed: int = 0
     lanes: int = 16
     tetrahedra: int = 600

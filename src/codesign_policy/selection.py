@@ -21,10 +21,10 @@ from codesign_policy.training import Training
 
 FINE = 2400  # tetrahedra: optima of the coarse block sit at the slip threshold
 EPISODES = 16  # of every candidate
-KEPT = 4  # candidates of each kind
+KEPT = 3  # candidates of each kind
 DRAWN = 512  # around the candidates, for the critics to choose from
 REFINING = SearchSettings(practice=0)  # once the controller is as it is
-GENERATIONS = 12  # of that search
+GENERATIONS = 8  # of that search
 _SHARE = 0.6  # of the time that it takes, for progress
 
 
@@ -69,7 +69,9 @@ def select_design(
     Raises:
         ValueError: no candidate can be printed and used.
     """
-    refined = refine(training, config, lambda share: progress(_SHARE * share))
+    fine = make_episodes(replace(config, tetrahedra=FINE))
+    refined = refine(training, fine, lambda share: progress(_SHARE * share))
+    fine.environment.close()
     found = _candidates(training, config, refined)
     named = [(o, d) for o, d in found if _usable(config.space, d)]
     if not named:
@@ -100,7 +102,7 @@ def select_design(
 
 def refine(
     training: Training,
-    config: RunConfig,
+    episodes: Episodes,
     progress: Callable[[float], None] = lambda share: None,
     generations: int = GENERATIONS,
 ) -> DesignSearch:
@@ -108,12 +110,11 @@ def refine(
 
     Args:
         training: a run that has learned designs.
-        config: its settings; the block is fine here, as it is where candidates are judged.
+        episodes: with a design stage, where it searches: with the block that is judged on.
         progress: told the share that is done.
         generations: of the search, each two episodes per lane.
     """
-    search, lanes = training.proposer, config.lanes
-    episodes = make_episodes(replace(config, tetrahedra=FINE))
+    search, lanes = training.proposer, episodes.environment.num_envs
     if isinstance(search, DesignSearch):
         start = search.centre
     else:
@@ -125,7 +126,6 @@ def refine(
         played = play_round(episodes, lanes * k, training.act, rows, refined.propose())
         refined.judge(played.metrics)
         progress((k + 1) / rounds)
-    episodes.environment.close()
     return refined
 
 

@@ -68,7 +68,7 @@ def test_refining_walks_towards_the_best_design() -> None:
     config = TrainingConfig(transitions=40, reward_weights=WEIGHTS)
     training = Training(Agent(SPACES, replace(FAST, encoding=False), 0, start), episodes, config)
     shares: list[float] = []
-    refined = refine(training, shares.append, generations=10)
+    refined = refine(training, episodes, shares.append, generations=10)
     assert np.linalg.norm(refined.best(1)[0] - BEST) < 0.5 * np.linalg.norm(start - BEST)
     assert len(training.experience) == 0  # nothing is learned from it
     assert shares[-1] == 1.0
