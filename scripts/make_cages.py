@@ -10,12 +10,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 
-from codesign_design.base_mesh import BOX_SIZE, LIP_BODY, LIP_LENGTH, UNIT_LENGTH, base_mesh
+from codesign_design.base_mesh import BOX_SIZE, LIP, UNIT_LENGTH, WIDE, LProfile, base_mesh
 
 VERSIONS = {"sphere-7": 2}  # of all others: 1
 FOLDER = Path(__file__).parents[1] / "src/codesign_design/cages"
 MARGIN = 1.05  # cage size over the smallest that contains the base mesh
 UNIT = UNIT_LENGTH * 1e3  # mm
+SIDE = 0.8  # mm between a lip's cage and its base mesh, sideways
 
 
 def bipyramid() -> np.ndarray:
@@ -178,11 +179,12 @@ def box_cages() -> dict[int, tuple[np.ndarray, np.ndarray]]:
     }
 
 
-def lip_cages() -> dict[int, tuple[np.ndarray, np.ndarray]]:
+def lip_cages(profile: LProfile) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """7: a triangular prism and a handle amid its front; else prisms over an L."""
-    x, y = LIP_BODY[0] / 2 / UNIT * MARGIN, (LIP_BODY[1] + LIP_LENGTH) / 2 / UNIT
-    z = LIP_BODY[2] / 2 / UNIT
-    inner = -y + LIP_LENGTH / UNIT
+    x = (profile.width / 2 + SIDE) / UNIT
+    y = (profile.depth + profile.lip) / 2 / UNIT
+    z = profile.height / 2 / UNIT
+    inner = -y + profile.lip / UNIT
     gap = (MARGIN - 1.0) * 0.6  # units between cage and base mesh
     low, high, back, tip, step = -z - gap, z + gap, y + gap, -y - gap, inner - gap
     shelf = z - 4.5 / UNIT  # the cage is thicker than the lip: its handles stay apart
@@ -222,7 +224,8 @@ def main() -> None:
         },
         "torus": torus_cages(),
         "box": box_cages(),
-        "lip": lip_cages(),
+        "lip": lip_cages(LIP),
+        "wide": lip_cages(WIDE),
     }
     FOLDER.mkdir(exist_ok=True)
     for base, of_base in cages.items():
