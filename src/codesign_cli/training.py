@@ -50,7 +50,7 @@ def train(
             "component in the direction in which demonstrated designs differ most."
         ),
     ] = "full",
-    transitions: TransitionsOption = 120_000,
+    transitions: TransitionsOption = 80_000,
     seed: SeedOption = 0,
     lanes: LanesOption = 16,
     demonstrations: Annotated[

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from codesign_design.finger_pair import FingerPair
 from codesign_policy.codesign_env import COMPONENTS
 from codesign_policy.control_env import ControlConfig
-from codesign_policy.domain import draw_domain
+from codesign_policy.domain import FRICTION, draw_domain
 from codesign_policy.finger_plan import LEAST_LIP, plan_for
 from codesign_policy.reactive import ReactiveLanes
 from codesign_policy.replay import ReplayBuffer, Spaces
@@ -22,7 +22,7 @@ from codesign_policy.simulated_fingers import lip
 GAPS = 16  # that are tried
 PAD_STEP, LIP_STEP = 2.5e-4, 1e-3  # m, between them: lips hold in a much wider range than pads
 TIGHTER = {PAD_STEP: 8, LIP_STEP: 2}  # steps from the planned gap to the first one
-FRICTIONS = (0.4, 0.5, 0.6)  # of the blocks
+FRICTIONS = (0.4, FRICTION, 0.6)  # of the blocks
 METRICS = ("success", "top10_stress", "median_stress")
 
 
@@ -34,8 +34,8 @@ def best_plan(fingers: FingerPair, tetrahedra: int, seed: int) -> tuple[GraspPla
     """The expert's plan with the best of `GAPS` gaps, and how many of these always succeed.
 
     Every gap is tried on three blocks of different friction: with lips a little more of it can
-    make the block jam half-way. A gap counts if it always succeeds, as those a step tighter and a
-    step wider do; the best has the least top-10 % and median stress over all three: who learns
+    make the block jam half-way. A gap counts if it always succeeds, and those a step tighter and a
+    step wider do at the nominal friction; the best has the least top-10 % and median stress over all three: who learns
     from it will not hit it exactly.
 
     Args:
@@ -56,8 +56,9 @@ def best_plan(fingers: FingerPair, tetrahedra: int, seed: int) -> tuple[GraspPla
     plans = [replace(plan, width=round(float(width), 6)) for width in widths]
     played = [_played(fingers, plans, tetrahedra, seed + k, mu) for k, mu in enumerate(FRICTIONS)]
     success = np.all([each["success"] for each in played], axis=0)
+    nominal = played[FRICTIONS.index(FRICTION)]["success"].astype(bool)
     stress = np.mean([each["top10_stress"] + each["median_stress"] for each in played], axis=0)
-    safe = success[1:-1] & success[:-2] & success[2:]
+    safe = success[1:-1] & nominal[:-2] & nominal[2:]
     if not safe.any():
         raise DemonstrationError(
             f"fingers {fingers.name!r}: no gap from {1e3 * widths[0]:.2f} to "

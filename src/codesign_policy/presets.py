@@ -1,5 +1,6 @@
 """The learner's settings: as published, and one for two cores."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -37,6 +38,7 @@ class Preset:
         actor_rest: updates of the critics after that, before the actor follows them: critics that
             know little would lead it astray.
         imitation: weight of staying close to the clone's actions, in units of the values' size.
+        imitation_half_life: updates after which that is half as much: critics learn.
         mean_rounds: whether every second round is played without exploration; it is these by which
             a search judges designs.
     """
@@ -67,6 +69,7 @@ class Preset:
     cloning: int
     actor_rest: int
     imitation: float
+    imitation_half_life: float
     mean_rounds: bool
 
 
@@ -101,6 +104,7 @@ PUBLISHED = Preset(
     cloning=0,
     actor_rest=0,
     imitation=0.0,
+    imitation_half_life=math.inf,
     mean_rounds=False,
 )
 
@@ -136,6 +140,7 @@ FAST = Preset(
     cloning=3000,
     actor_rest=4000,
     imitation=3.0,
+    imitation_half_life=5000.0,
     mean_rounds=True,
 )
 

@@ -355,7 +355,8 @@ class Agent:
             wanted = torch.tanh(self.clone_actor(batch.observation[rows])[0])
         distance = (torch.tanh(mean) - wanted).square().sum(-1).mean()
         scale = value.detach().abs().mean().clamp(min=LEAST_VALUE)
-        return self.preset.imitation * scale * distance
+        halvings = (self.updates - self._actor_from) / self.preset.imitation_half_life
+        return self.preset.imitation * 0.5**halvings * scale * distance
 
     def _descend(self, name: str, loss: Tensor) -> float:
         """One step of an optimizer down this loss; gradients of other parameters are not made."""

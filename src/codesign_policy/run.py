@@ -74,10 +74,10 @@ class RunConfig:
     preset: str = "fast"
     discount: float = 0.0
     search: bool = True
-    transitions: int = 120_000
+    transitions: int = 80_000
     seed: int = 0
     lanes: int = 16
-    tetrahedra: int = 600
+    tetrahedra: int = 2400
     friction: tuple[float, float] = (0.4, 0.6)
     pose_error: float = 0.001
     stress_factor: float = 1.0

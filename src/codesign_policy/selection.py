@@ -24,7 +24,7 @@ EPISODES = 16  # of every candidate
 KEPT = 3  # candidates of each kind
 DRAWN = 512  # around the candidates, for the critics to choose from
 REFINING = SearchSettings(practice=0)  # once the controller is as it is
-GENERATIONS = 8  # of that search
+GENERATIONS = 6  # of that search
 _SHARE = 0.6  # of the time that it takes, for progress
 
 
