@@ -35,8 +35,8 @@ def best_plan(fingers: FingerPair, tetrahedra: int, seed: int) -> tuple[GraspPla
 
     Every gap is tried on three blocks of different friction: with lips a little more of it can
     make the block jam half-way. A gap counts if it always succeeds, and those a step tighter and a
-    step wider do at the nominal friction; the best has the least top-10 % and median stress over all three: who learns
-    from it will not hit it exactly.
+    step wider do at the nominal friction; the best has the least top-10 % and median stress over
+    all three gaps and blocks: who learns from it will not hit it exactly.
 
     Args:
         fingers: in use.

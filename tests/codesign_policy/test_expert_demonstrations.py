@@ -24,7 +24,7 @@ def made() -> Demonstrations:
     patch = pytest.MonkeyPatch()
     patch.setattr(expert_demonstrations, "RESTARTS", 4)
     patch.setattr(expert_plan, "GAPS", 6)
-    patch.setattr(expert_plan, "TIGHTER", {2.5e-4: 5})
+    patch.setattr(expert_plan, "TIGHTER", {2.5e-4: 9})
     try:
         return demonstrate(SPACE, experts=("flat_pad", "flat_pad"), tetrahedra=600)
     finally:
@@ -37,9 +37,9 @@ def test_a_demonstration_is_a_grasp_that_succeeds(made: Demonstrations) -> None:
     assert episode.chamfer is not None
     assert episode.chamfer < 2e-4
     assert 0.026 < episode.width < 0.029
-    assert 100.0 < episode.median_stress < episode.top10_stress < 1200.0
+    assert 100.0 < episode.median_stress < episode.top10_stress < 1300.0
     assert episode.gaps_that_hold is not None
-    assert episode.gaps_that_hold >= 3
+    assert episode.gaps_that_hold >= 2
 
 
 def test_episodes_follow_one_another(made: Demonstrations) -> None:
