@@ -18,6 +18,7 @@ class ServoConfig:
     action_period: float = 0.05  # s, over which one action is spread
     action_timeout: float = 0.15  # s, an older action is stale: halt
     measurement_timeout: float = 0.2  # s without a measured posture: fault
+    gripper_delay: float = 0.05  # s that a gripper target is on its way; DriverConfig.delay
 
     # One action.
     action_translation: float = 0.0125  # m, norm; linear_speed * action_period

@@ -7,6 +7,7 @@ calls `step` once per control period.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
@@ -125,6 +126,9 @@ class CartesianServo:
         self._gripper_asked: float | None = None
         self._gripper: float | None = None  # what is allowed of it
         self._gripper_measured: float | None = None
+        # What was allowed in the last ticks, as far back as targets may be on their way.
+        ticks = math.ceil(self.config.gripper_delay / self.config.period)
+        self._gripper_sent: deque[float] = deque(maxlen=1 + ticks)
         self._reference = Reference(self.config, arm.tcp_placement(arm.home))
         self._goal_state = GoalState.NONE
         self._goal_path: list[JointState] = []
@@ -194,12 +198,13 @@ class CartesianServo:
             raise MoveRejected("set_hand: still braking")
         self._motion.set_hand(hand)
         self._gripper = self._gripper_asked = self._gripper_measured = None
+        self._gripper_sent.clear()
 
     def observe_gripper(self, width: float) -> None:
         """The measured gap [m]. Until the first one the fingers are taken to be anywhere."""
         if math.isfinite(width):
             self._gripper_measured = width
-            self._spread_fingers(self._gripper)
+            self._spread_fingers()
 
     def ask_gripper(self, width: float) -> None:
         """Asks for a gap [m]: `ServoOutput.gripper` goes there as far as the table lets it.
@@ -332,28 +337,38 @@ class CartesianServo:
 
     def _move_gripper(self) -> None:
         """Lets the gripper go towards the asked gap, where its fingers stay off the table."""
-        here, goal = self._gripper, self._gripper_asked
-        if goal is None or goal == here:
+        goal = self._gripper_asked
+        if goal is None:
             return
-        start = goal if here is None else here
-        for part in GRIPPER_STEPS:
-            width = goal if part == 1.0 else start + part * (goal - start)
-            if self._motion.allows_widths(self._finger_range(width)):
-                self._gripper = width
-                self._spread_fingers(width)
-                break
+        if goal != self._gripper:
+            self._gripper = self._allowed_gap(goal)
+        if self._gripper is not None:
+            self._gripper_sent.append(self._gripper)
+            self._spread_fingers()
         if self._gripper != goal:
             self._limits |= Limit.TABLE
             self._count(gripper_waits=1)
 
+    def _allowed_gap(self, goal: float) -> float | None:
+        """As far towards `goal` [m] as the table lets the gripper go, or where it is now."""
+        start = goal if self._gripper is None else self._gripper
+        for part in GRIPPER_STEPS:
+            width = goal if part == 1.0 else start + part * (goal - start)
+            if self._motion.allows_widths(self._finger_range(width)):
+                return width
+        return self._gripper
+
     def _finger_range(self, target: float | None) -> tuple[float, float]:
-        """Between these gaps [m] the fingers may be while the gripper goes to `target`."""
-        measured = self._gripper_measured
-        known = [width for width in (measured, target) if width is not None]
+        """Between these gaps [m] the fingers may be while the gripper goes to `target`.
+
+        What was taken back within the gripper's delay is still carried out for a moment.
+        """
+        ends = (self._gripper_measured, target, *self._gripper_sent)
+        known = [width for width in ends if width is not None]
         return (min(known), max(known))
 
-    def _spread_fingers(self, target: float | None) -> None:
-        self._motion.hand_height.set_widths(self._finger_range(target))
+    def _spread_fingers(self) -> None:
+        self._motion.hand_height.set_widths(self._finger_range(self._gripper))
 
     def _follow_goal(self) -> None:
         if not self._motion.follow(self._goal_path.pop(0)):

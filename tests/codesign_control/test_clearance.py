@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from servo_run import STILL, Run
 
-from codesign_control import Hand, Limit, MoveRejected, Pose, ServoConfig, Xarm7, urdf
+from codesign_control import GripperModel, Hand, Limit, MoveRejected, Pose, ServoConfig, Xarm7, urdf
 from codesign_control.capsules import (
     LEFT_ALONE,
     Capsule,
@@ -17,6 +17,7 @@ from codesign_control.capsules import (
     watched_pairs,
 )
 from codesign_control.clearance import REACH, Clearance
+from codesign_control.driver import DriverConfig
 from codesign_control.limit_check import link_placements, segment_distance
 
 ARM = Xarm7()
@@ -218,6 +219,64 @@ def test_the_gripper_waits_until_the_arm_has_made_room() -> None:
     for _ in range(10):
         run.act(np.array([0.0, 0.0, 0.005]), STILL)
     assert run.step().gripper == 0.0
+
+
+LATE = round(DriverConfig().delay / CONFIG.period)  # ticks that set-points and targets are late
+
+
+def lowered(hand: Hand, height: float) -> Run:
+    """Stands with the opened fingers at a height [m] over the table."""
+    opened = hand.gripper.max_width
+    run = with_hand(hand, opened)
+    above = run.servo.commanded_pose.position[2] - hand.corners(opened)[:, 2].max()
+    for _ in range(30):
+        run.act(np.array([0.0, 0.0, (height - above) / 30.0]))
+    run.step(15)
+    return run
+
+
+def finger_height(hand: Hand, posture: np.ndarray, width: float) -> float:
+    tcp = ARM.tcp_placement(posture)
+    return float((hand.corners(width) @ tcp.rotation.T + tcp.translation)[:, 2].min())
+
+
+def test_a_gripper_target_keeps_its_room_while_it_is_on_its_way() -> None:
+    """The arm stands on the table, as low as closing lets it, when closing is taken back."""
+    hand = long_hand()
+    opened, closing = hand.gripper.max_width, hand.gripper.max_width - 0.01
+    run = lowered(hand, 0.006)
+    run.servo.ask_gripper(closing)
+    for _ in range(10):
+        run.act(np.array([0.0, 0.0, -0.0125]))
+    assert finger_height(hand, run.position, closing) == pytest.approx(1e-4, abs=1e-5)
+    run.servo.ask_gripper(opened)
+    for _ in range(20):
+        run.act(np.array([0.0, 0.0, -0.0125]))
+    heights = [finger_height(hand, output.position, closing) for output in run.outputs[-100:]]
+    assert min(heights[: 1 + LATE]) > 0.0  # the driver's gripper closes until then
+    assert heights[2 * LATE] < 0.0
+    assert finger_height(hand, run.position, opened) < 2e-4
+
+
+def test_fingers_that_close_for_a_moment_behind_a_driver_stay_off_the_table() -> None:
+    """On the way down: close, open again after 40 ms, and a driver to which it all comes late."""
+    hand = long_hand()
+    opened = hand.gripper.max_width
+    run, gripper = lowered(hand, 0.004), GripperModel(width=opened)
+    targets, heights = [opened] * LATE, []
+    for tick in range(60):
+        if tick % 5 == 0:
+            run.servo.submit(np.array([0.0, 0.0, -0.0125]), STILL, run.now)
+        if tick in (4, 8):
+            run.servo.ask_gripper(opened - 0.01 if tick == 4 else opened)
+        run.servo.observe_gripper(gripper.width)
+        targets.append(run.step().gripper)
+        reached = run.outputs[-1 - LATE].position
+        heights += [finger_height(hand, reached, gap) for gap in (gripper.width, targets[tick])]
+        gripper.step(targets[tick], CONFIG.period, 0.2)
+    assert min(targets) < opened - 0.005
+    assert min(heights) > 0.0  # -12 um without room for what is on its way
+    assert heights[-1] < 3e-4
 
 
 def test_a_start_below_the_table_is_refused_with_the_reason() -> None:
