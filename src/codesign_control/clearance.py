@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -14,6 +16,7 @@ from codesign_control.capsules import (
     watched_pairs,
 )
 from codesign_control.config import ServoConfig
+from codesign_control.gripper import CRANK, CRANK_ANGLE
 from codesign_control.hand import TCP_FROM_FLANGE, Hand
 from codesign_control.xarm7 import urdf
 
@@ -22,7 +25,10 @@ OVER_TABLE = ARM[2:]  # the base and link 1 keep their height; `HandHeight` sees
 # axis with everything stretched, and a hand of 0.35 m.
 REACH = np.array([1.3, 1.3, 1.1, 1.1, 0.6, 0.6, 0.4])
 GRIPPER = ("link7", "gripper_base_link")
-WIDTH_STEP = 0.004  # m; between two gaps this near the four-bar's arc is straight to 0.03 mm
+WIDTH_STEP = 0.004  # m, of the gaps that stand for all those between
+# 1/m: between two gaps s [m] apart the four-bar's arc leaves its chord by at most BULGE * s * s,
+# 16 um for 4 mm: arc^2 / (8 radius), and a finger's arc is at most s / 2 / sin(its open angle).
+BULGE = 1.0 / (32.0 * math.sin(CRANK_ANGLE) ** 2 * CRANK)
 
 
 class Clearance:
@@ -167,7 +173,8 @@ class HandHeight:
         low, high = sorted(self._hand.gripper.clip(width) for width in widths)
         steps = 1 if high - low < 1e-6 else 2 + int((high - low) / WIDTH_STEP)
         corners = [self._hand.corners(width) for width in np.linspace(low, high, steps)]
-        needs = np.concatenate([np.zeros(sum(map(len, corners))), self._gripper_needs])
+        bulge = BULGE * ((high - low) / max(1, steps - 1)) ** 2
+        needs = np.concatenate([np.full(sum(map(len, corners)), bulge), self._gripper_needs])
         return np.concatenate([*corners, self._gripper]), needs
 
 
