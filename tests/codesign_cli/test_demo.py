@@ -41,7 +41,7 @@ def test_numbers_out_of_range_are_refused(option: list[str]) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--policy", "nobody"], "policy 'nobody': unknown; there are scripted, codesign, original"),
+        (["--policy", "nobody"], "'nobody': unknown; there are scripted, codesign, original"),
         (["--policy", "scripted", "--policy", "scripted"], "two would be labelled the same"),
     ],
 )
