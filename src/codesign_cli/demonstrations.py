@@ -24,14 +24,18 @@ class Format(StrEnum):
 def demonstrate(
     out: Annotated[Path, typer.Option(help="Folder to write: a Minari dataset.")],
     space: Annotated[str, typer.Option(help="Design space: base mesh and handles.")] = "wide-12",
+    expert: Annotated[
+        list[str] | None,
+        typer.Option(help="Whose fingers; may be repeated. Default: flat_pad, cupped_pad, scoop."),
+    ] = None,
     tets: Annotated[int, typer.Option(help="Resolution of the block: 600 or 2400.")] = 2400,
     seed: Annotated[int, typer.Option(min=0, help="Of fits and block.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
     """Demonstrate: fit each expert's finger in a design space, and pick tofu up with it.
 
-    Writes 3 transitions of the design stage and 600 of the control stage, for RLPD. Nothing is
-    written unless every grasp succeeds.
+    Writes a transition of the design stage and 200 of the control stage for each, for RLPD.
+    Nothing is written unless every grasp succeeds.
 
     Exit codes: 0 done, 1 a grasp failed or a fitted finger is unusable, 2 bad input, 3 the
     simulation failed.
@@ -42,6 +46,7 @@ def demonstrate(
     from rich.progress import Progress
 
     from codesign_policy.demonstrations import METADATA
+    from codesign_policy.expert_demonstrations import EXPERTS
     from codesign_policy.expert_demonstrations import demonstrate as make
     from codesign_policy.expert_plan import DemonstrationError
     from codesign_policy.files import require_replaceable
@@ -55,8 +60,9 @@ def demonstrate(
             def show(what: str, share: float) -> None:
                 progress.update(task, description=what, completed=share)
 
-            made = make(space, tetrahedra=tets, seed=seed, progress=show)
+            made = make(space, expert or EXPERTS, tetrahedra=tets, seed=seed, progress=show)
         command = f"codesign policy demonstrate --space {space} --tets {tets} --seed {seed}"
+        command += "".join(f" --expert {name}" for name in expert or [])
         replace(made, made_by=command).save(out)
     except DemonstrationError as error:
         typer.echo(f"demonstrate: {error}", err=True)
