@@ -21,6 +21,7 @@ from codesign_policy.training import Training
 
 FINE = 2400  # tetrahedra: optima of the coarse block sit at the slip threshold
 EPISODES = 16  # of every candidate
+SHOWN = 3  # demonstrated designs
 KEPT = 3  # candidates of each kind
 DRAWN = 512  # around the candidates, for the critics to choose from
 REFINING = SearchSettings(practice=0)  # once the controller is as it is
@@ -136,7 +137,8 @@ def _candidates(
     assert observation is not None
     found: list[tuple[str, NDArray[np.float32]]] = []
     if training.demonstrations is not None:
-        found += [("demonstrated", design) for design in training.demonstrations.designs]
+        shown = training.demonstrations.designs[:SHOWN]  # what follows is practice
+        found += [("demonstrated", design) for design in shown]
     search = training.proposer
     if isinstance(search, DesignSearch):
         found.append(("search", search.centre))
