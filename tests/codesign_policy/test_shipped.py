@@ -74,3 +74,19 @@ def test_shipped_pairs_load_and_know_their_fingers(name: str) -> None:
     assert finger.is_dir() == bool(pair.space)
     if pair.space:
         assert mismatch(pair, load_finger_pair(finger)) == ""
+
+
+@pytest.mark.parametrize(("name", "space"), [("codesign", "wide-12"), ("original", "")])
+def test_what_comes_with_the_package_says_what_made_it(name: str, space: str) -> None:
+    pair = load_pair(checkpoint_path(name))
+    assert pair.space == space
+    assert str(pair.about["command"]).startswith("codesign policy finetune ")
+    assert len(str(pair.about["commit"])) >= 7
+    assert "dirty" not in str(pair.about["commit"])
+    seen = np.zeros((1, 8 + len(pair.design)), np.float32)
+    assert np.abs(pair.act(seen)).max() <= 1.0
+    folder = checkpoint_path(name).parent
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    assert size < 5e6
+    if space:
+        assert mismatch(pair, load_finger_pair(folder / "finger")) == ""
