@@ -31,7 +31,10 @@ def run(*words: object) -> Result:
 def trained(quick: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the stock fingers, one round long."""
     out = tmp_path_factory.mktemp("runs") / "stock"
-    done = run("train", "--space", "stock", "--out", out, "--transitions", 1600, "--lanes", 8)
+    done = run(
+        "train", "--space", "stock", "--out", out, "--transitions", 1600, "--lanes", 8,
+        "--practice", 4,
+    )  # fmt: skip
     assert done.exit_code == 0, done.output
     return out
 
@@ -49,7 +52,8 @@ def test_a_run_keeps_what_made_it(trained: Path) -> None:
     about = load_pair(trained / "policy.npz").about
     settings = json.loads((trained / "run.json").read_text())
     assert (about["space"], about["transitions"]) == ("", 1600)
-    assert settings["demonstrations"] == 600
+    # Three grasps, and those of practice that succeeded.
+    assert settings["demonstrations"] in range(600, 1401, 200)
     assert settings["commit"] == about["commit"]
 
 

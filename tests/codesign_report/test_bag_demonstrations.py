@@ -14,7 +14,7 @@ from codesign_policy.task import ACTION_SCALE, physical_observations
 from codesign_report import bag_demonstrations
 from codesign_report.bag_messages import BagError
 
-SPACE = "lip-12"
+SPACE = "wide-12"
 START = 1_700_000_000_250_000_000  # ns
 STEPS = 100  # of 50 ms
 PAUSE = range(10, 15)
@@ -200,7 +200,7 @@ def _too_fast(bag: Messages) -> None:
         (_each("/finger_design", parameters=np.zeros(0)), "'pad' have no design parameters"),
         (_each("/finger_design", cage="box-12"), "box-12 makes other fingers"),
         (_each("/finger_design", cage="cube-8"), "fingers 'pad': .*cube-8"),
-        (_each("/finger_design", content_hash="x"), "lip-12 makes other fingers"),
+        (_each("/finger_design", content_hash="x"), "wide-12 makes other fingers"),
         (_second_pair, "the fingers changed"),
         (_drop("/action", slice(50, 51)), "their numbers have gaps"),
         (_drop("/action", slice(None)), "0 actions"),

@@ -26,7 +26,7 @@ from codesign_report.bag_demonstrations import import_demonstrations
 from tests.conftest import LOG_FOLDER, Probe
 
 SEED = 3
-SPACE = "lip-12"
+SPACE = "wide-12"
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,7 @@ def test_trials_that_show_nothing_are_refused(bag: Path, tmp_path: Path) -> None
     with pytest.raises(BagError, match="the trial did not succeed"):
         import_demonstrations([failed])
     other = altered(bag, tmp_path / "other", "/finger_design", with_other_parameters)
-    with pytest.raises(BagError, match="lip-12 makes other fingers of these parameters now"):
+    with pytest.raises(BagError, match="wide-12 makes other fingers of these parameters now"):
         import_demonstrations([other])
     lost = altered(bag, tmp_path / "lost", "/action", lambda m: m.sequence != 50)
     with pytest.raises(BagError, match="their numbers have gaps"):
