@@ -71,8 +71,14 @@ def test_a_run_is_not_overwritten(trained: Path) -> None:
     assert "--resume" in done.output
 
 
-def test_a_policy_that_fails_cannot_be_fine_tuned(trained: Path, tmp_path: Path) -> None:
-    done = run("finetune", trained, "--out", tmp_path / "tuned", "--tets", 600, "--lanes", 4)
+def test_a_policy_that_fails_cannot_be_fine_tuned(quick: None, tmp_path: Path) -> None:
+    blind = tmp_path / "blind"
+    done = run(
+        "train", "--space", "stock", "--out", blind, "--transitions", 800, "--lanes", 4,
+        "--without-demonstrations",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    done = run("finetune", blind, "--out", tmp_path / "tuned", "--tets", 600, "--lanes", 4)
     assert done.exit_code == 1
     assert "none of 4 episodes" in done.output
     assert not (tmp_path / "tuned" / "run.json").exists()
