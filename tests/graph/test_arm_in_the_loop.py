@@ -74,7 +74,7 @@ def person(*command: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([path, *command[1:]], capture_output=True, text=True, timeout=LIMIT)
 
 
-def trial(out: Path, seed: int) -> dict[str, Any]:
+def trial(out: Path, seed: int, *options: str) -> dict[str, Any]:
     """A trial's result, of an arm that somebody has enabled.
 
     Where a busy machine lets nodes stand still for 0.2 s the watchdogs rightly call it a fault,
@@ -86,7 +86,9 @@ def trial(out: Path, seed: int) -> dict[str, Any]:
             time.sleep(2.0)
             continue
         folder = out / f"trial{seed}-{attempt}"
-        said = person("run_trials", "--count", "1", "--seed", str(seed), "--out", str(folder))
+        said = person(
+            "run_trials", "--count", "1", "--seed", str(seed), "--out", str(folder), *options
+        )
         if said.returncode == 0:
             (result,) = json.loads((folder / "trials.json").read_text())["trials"]
             return result
@@ -126,3 +128,14 @@ def test_two_trials_on_an_arm_with_a_block_that_only_pictures_show(
         assert again.actions > 150
     first, second = (result["domain"] for result in results)
     assert first["x"] != second["x"]  # another block, put down under the arm
+
+
+def test_the_co_designed_pair_on_the_arm(box: FakeBox, loop: Path) -> None:
+    """Its fingers are made and put on first; then the same as with the scripted grasp."""
+    result = trial(loop, 0, "--policy", "codesign")
+    assert not box.violations()
+    assert result["success"], result["message"]
+    again = replay(Path(result["bag"]))
+    assert again.identical, again.first
+    assert again.unknown == 0
+    assert again.actions > 100
