@@ -106,6 +106,6 @@ def reward_components(
 
 
 def stress_penalty(top10: Array, mean: Array) -> Array:
-    """Equation 1: -(alpha top10 + (1 - alpha) mean)^2 / beta [Pa], the stress capped at `STRESS_CAP`."""
+    """Equation 1: -(alpha top10 + (1 - alpha) mean)^2 / beta [Pa], stress up to `STRESS_CAP`."""
     stress = np.minimum(ALPHA * top10 + (1.0 - ALPHA) * mean, STRESS_CAP)
     return -(stress**2) / BETA
