@@ -67,20 +67,28 @@ class FakeArm:
             if self.follows and commands:
                 self.joints = np.array(commands[-1][1].position)
             stamp = self.stamp()
-            joint_state, gripper_state, pose_stamped = self._kinds
             if self.sends_states:
-                joints = joint_state(name=[f"joint{k}" for k in range(1, 8)])
-                joints.position = [float(q) for q in self.joints]
-                joints.header.stamp = stamp
-                gripper = gripper_state(width=0.06)
-                gripper.header.stamp = stamp
-                self._gripper_pub.publish(gripper)
-                self._joint_pub.publish(joints)
+                self.send_gripper(stamp)
+                self.send_joints(stamp)
             if self.sends_pose:
-                pose = pose_stamped(pose=self._messages.pose(self.object, (0.0, 0.0, 0.0, 1.0)))
-                pose.header.stamp = stamp
-                pose.header.frame_id = "link_base"
-                self._pose_pub.publish(pose)
+                self.send_pose(stamp)
+
+    def send_joints(self, stamp: Any) -> None:
+        joints = self._kinds[0](name=[f"joint{k}" for k in range(1, 8)])
+        joints.position = [float(q) for q in self.joints]
+        joints.header.stamp = stamp
+        self._joint_pub.publish(joints)
+
+    def send_gripper(self, stamp: Any) -> None:
+        gripper = self._kinds[1](width=0.06)
+        gripper.header.stamp = stamp
+        self._gripper_pub.publish(gripper)
+
+    def send_pose(self, stamp: Any) -> None:
+        pose = self._kinds[2](pose=self._messages.pose(self.object, (0.0, 0.0, 0.0, 1.0)))
+        pose.header.stamp = stamp
+        pose.header.frame_id = "link_base"
+        self._pose_pub.publish(pose)
 
     def close(self) -> None:
         self._stop.set()

@@ -249,3 +249,48 @@ def test_without_clock_and_policy_the_watchdog_still_fires_and_jumps_do_not_move
         )
     positions = np.array([m.position for _, m in arm.probe.received["/joint_command"]])
     assert np.abs(np.diff(positions, axis=0)).max() <= CONFIG.joint_velocity * CONFIG.period
+
+
+def test_a_reset_whose_gripper_comes_before_its_arm_is_no_fault(arm: FakeArm, graph: Any) -> None:
+    """The posture of the tick before must not be what enabling holds."""
+    from codesign_nodes.node_tools import stamp_of
+    from std_srvs.srv import SetBool
+
+    arm.sends_states = arm.sends_pose = arm.follows = False
+    start(graph, arm.probe, lockstep=True)
+    client = arm.probe.node.create_client(SetBool, "/cartesian_controller/enable")
+    client.wait_for_service(10.0)
+    before, reset = stamp_of(10_040_000_000), stamp_of(10_100_000_000)
+    arm.joints = Xarm7().home + 0.3
+    arm.send_gripper(stamp_of(10_000_000_000))
+    arm.send_joints(before)
+    time.sleep(0.5)
+    enabled = arm.probe.run(lambda: client.call_async(SetBool.Request(data=True)))
+    time.sleep(0.5)
+    arm.joints = Xarm7().home
+    arm.send_gripper(reset)
+    time.sleep(0.5)
+    assert not enabled.done()  # it waits for the arm of that tick
+
+    def asked_again() -> bool:
+        """As a simulator that waits for its commands."""
+        arm.send_gripper(reset)
+        arm.send_joints(reset)
+        time.sleep(0.1)
+        return enabled.done()
+
+    arm.probe.wait_for(asked_again, 5.0, "enabled")
+    assert enabled.result().success, enabled.result().message
+    arm.send_joints(reset)
+    time.sleep(0.1)
+    arm.action_pub.publish(replying_to(reset, action(1)))
+    command = arm.probe.wait_for(lambda: arm.probe.received["/joint_command"], 5.0, "a set-point")
+    np.testing.assert_allclose(command[0][1].position, Xarm7().home, atol=1e-9)
+    assert arm.probe.received["/gripper_command"]
+    assert arm.controller_state() == MOVING
+
+
+def replying_to(stamp: Any, message: Any) -> Any:
+    """An action that answers what was observed at that moment."""
+    message.tcp_stamp = message.observation_stamp = message.header.stamp = stamp
+    return message

@@ -153,6 +153,28 @@ def test_joint_state_that_is_not_finite_is_a_fault(
     assert_smooth(arm.commands_since(now() - 1.0))
 
 
+def test_a_controllers_fault_ends_the_trial_and_is_its_message(arm: FakeArm, graph: Any) -> None:
+    from codesign_interfaces.action import RunTrial
+    from rclpy.action import ActionClient
+
+    graph.start("cartesian_controller")
+    graph.start("policy")
+    graph.start("trial_runner", {"simulated": False})
+    client = ActionClient(arm.probe.node, RunTrial, "/run_trial")
+    assert client.wait_for_server(20.0)
+    sent = arm.probe.run(lambda: client.send_goal_async(RunTrial.Goal(gripper="stock")))
+    arm.probe.wait_for(sent.done, 10.0, "goal taken")
+    result = arm.probe.run(sent.result().get_result_async)
+    # Or a busy machine has starved the stand-in for the arm: a fault of the controller as well.
+    arm.probe.poll(lambda: arm.policy_state() == POLICY_RUNNING or result.done(), 60.0)
+    arm.follows = False
+    arm.joints = np.full(7, math.nan)
+    arm.probe.wait_for(result.done, 4.0, "the trial ends before anybody's patience does")
+    message = result.result().result.message
+    assert not result.result().result.success
+    assert "cartesian_controller at fault: " in message, message
+
+
 BAD_ACTIONS = {
     "NaN": {"x": math.nan},
     "infinite": {"y": -math.inf},

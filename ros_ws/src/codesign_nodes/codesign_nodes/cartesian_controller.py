@@ -286,6 +286,8 @@ class CartesianController(LeanNode):
             gripper = self._gripper_command(output, stamp) if slow else None
             self._commands = (self._joint_command(output, stamp, stamp_of(valid_at)), gripper)
             self._publish_commands()
+        else:
+            self._commands = None
         if changed or time.monotonic() - self._status_at > STATUS_PERIOD:
             self._publish_status(stamp)
         if self._goal_done is not None and output.goal is not GoalState.RUNNING:
@@ -344,13 +346,15 @@ class CartesianController(LeanNode):
     def _observe_if_complete(self) -> None:
         """Lockstep: arm and gripper of the same tick, in whatever order they arrive.
 
-        The gripper reports on the policy's grid only; in between its last state counts.
+        The gripper reports on the policy's grid only; in between its last state counts. One that
+        is newer than the arm's is of a tick whose arm state is still on its way: after a reset
+        that one is elsewhere.
         """
         arm, gripper = self._joint_state, self._gripper_state
         if arm is None or gripper is None:
             return
-        on_grid = nanoseconds(arm.header.stamp) % ACTION_PERIOD_NS == 0
-        if on_grid and arm.header.stamp != gripper.header.stamp:
+        now = nanoseconds(arm.header.stamp)
+        if not now - now % ACTION_PERIOD_NS <= nanoseconds(gripper.header.stamp) <= now:
             return
         self._observe()
         self._on_simulated_tick(arm.header.stamp)

@@ -146,6 +146,8 @@ class TrialRunner(LeanNode):
         self._state = TrialState(state=TrialState.IDLE)
         self._log = TrialLog()
         self._tracking_error = math.inf  # of a real arm [rad]
+        self._controller = ControllerStatus()
+        self._faults_before = 0  # of the controller, before it was enabled
         self._gap, self._gap_moves = math.nan, True  # of a real gripper [m]
         self._seen = 0  # stamp of the newest pose that a camera told of a simulated block [ns]
         self._ended: Future | None = None
@@ -160,12 +162,12 @@ class TrialRunner(LeanNode):
         self.create_subscription(PolicyStatus, "/policy/status", self._on_policy, qos.EVERY)
         self.create_subscription(Stress, "/stress", self._on_stress, qos.EVERY)
         self.create_subscription(PoseStamped, self._object_topic, self._on_pose, qos.EVERY)
+        self.create_subscription(
+            ControllerStatus, "/cartesian_controller/status", self._on_controller, qos.EVERY
+        )
         if not self._simulated:  # by these a grasp is judged where no stress is known
             self.create_subscription(PoseStamped, "/tcp_pose", self._on_tool, qos.EVERY)
             self.create_subscription(GripperState, "/gripper_state", self._on_gripper, qos.EVERY)
-            self.create_subscription(
-                ControllerStatus, "/cartesian_controller/status", self._on_controller, qos.STATE
-            )
         if self._virtual:
             self.create_subscription(PoseStamped, "/object_pose", self._on_sight, qos.STATE)
         self._reset = self.create_client(ResetSimulation, "/fem_simulator/reset")
@@ -226,6 +228,7 @@ class TrialRunner(LeanNode):
 
     def _on_controller(self, message: ControllerStatus) -> None:
         self._tracking_error = message.tracking_error
+        self._controller = message
 
     def _watch(self) -> None:
         """Ends a trial that cannot end by itself; feeds the goal's feedback."""
@@ -238,12 +241,20 @@ class TrialRunner(LeanNode):
         limit = self._goal.request.timeout or self._timeout
         if self._goal.is_cancel_requested:
             self._end("canceled")
+        elif self._fault():
+            self._end(self._fault())
         elif self._state.elapsed > limit:
             self._end(f"the policy was not done after {limit} s")
         elif now - self._heard_at > self._silence:
             self._end(f"no word from the policy for {self._silence} s")
         elif now - self._good_at > self._silence:
             self._end(f"the policy was at fault for {self._silence} s")
+
+    def _fault(self) -> str:
+        """What the controller says of a fault in this trial; empty without one."""
+        if self._controller.faults <= self._faults_before:
+            return ""
+        return f"cartesian_controller at fault: {self._controller.message}"
 
     def _elapsed(self) -> float:
         """Since the policy's start, by the stamps of what was observed [s]."""
@@ -304,6 +315,7 @@ class TrialRunner(LeanNode):
             domain = await self._reset_with(fingers, request)
             # A simulated arm needs no person to look at it before it goes on.
             await self._call(self._reset_fault, Trigger.Request())
+        self._faults_before = self._controller.faults
         await self._call(self._enable, SetBool.Request(data=True))
         if not self._simulated:
             await self.sleep(MATCH_PAUSE)
@@ -361,7 +373,7 @@ class TrialRunner(LeanNode):
             raise TrialError("cartesian_controller refused to move to the start posture")
         result = (await goal.get_result_async()).result
         if not result.success:
-            raise TrialError(f"start posture not reached: {result.message}")
+            raise TrialError(f"start posture not reached: {self._fault() or result.message}")
         if not self._dry_run:
             await self._until_followed()
             if self._home_width:
