@@ -14,7 +14,12 @@ for _package in codesign_nodes codesign_bringup; do
   export PATH="$_root/ros_ws/install/$_package/lib/$_package:$PATH"
 done
 # DDS stays on this host, on a domain of its own, unless you choose otherwise beforehand.
-export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+case "${ROS_AUTOMATIC_DISCOVERY_RANGE:-}${FASTRTPS_DEFAULT_PROFILES_FILE:-}:${RMW_IMPLEMENTATION:-}" in
+  : | :rmw_fastrtps*)
+    export FASTRTPS_DEFAULT_PROFILES_FILE="$_root/ros_ws/src/codesign_bringup/config/fastdds.xml"
+    export ROS_AUTOMATIC_DISCOVERY_RANGE=SYSTEM_DEFAULT ;; # what the profile says
+  *) export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}" ;;
+esac
 export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-42}"
 # One thread per process: the graph's processes share the cores.
 export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"

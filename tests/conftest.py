@@ -14,7 +14,10 @@ import pytest
 
 # Before anything talks DDS: apart from a person's own graph, and on this host only.
 os.environ["ROS_DOMAIN_ID"] = str(50 + os.getpid() % 50)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
+    Path(__file__).parents[1] / "ros_ws" / "src" / "codesign_bringup" / "config" / "fastdds.xml"
+)
 
 
 LOG_FOLDER = pytest.StashKey[Path]()

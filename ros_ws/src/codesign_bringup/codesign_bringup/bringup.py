@@ -32,6 +32,7 @@ from ament_index_python.packages import (
 NODE_DIED = 3
 GRACE = 5.0  # s after SIGINT, and again after SIGTERM
 FIFO_PRIORITY = 10  # of 1..99: before everything normal, behind what the system runs there
+PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # read by Fast DDS
 _PR_SET_PDEATHSIG = 1
 
 
@@ -277,7 +278,7 @@ def _spawn(
     command: list[str], nice: int = 0, realtime: bool = False, **options: Any
 ) -> subprocess.Popen[str]:
     environment = {
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        **_on_this_host(),
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONUNBUFFERED": "1",
@@ -292,6 +293,16 @@ def _spawn(
         preexec_fn=lambda: _before_exec(nice, realtime),
         **options,
     )
+
+
+def _on_this_host() -> dict[str, str]:
+    """Variables with which DDS stays on this host, as in scripts/env.sh; what is set already goes
+    before them."""
+    chosen = {"ROS_AUTOMATIC_DISCOVERY_RANGE", PROFILES_FILE} & os.environ.keys()
+    if chosen or not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith("rmw_fastrtps"):
+        return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    profile = Path(get_package_share_directory("codesign_bringup"), "config", "fastdds.xml")
+    return {PROFILES_FILE: str(profile), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
 
 
 def _before_exec(nice: int, realtime: bool) -> None:

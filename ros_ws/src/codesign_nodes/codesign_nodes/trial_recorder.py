@@ -58,7 +58,7 @@ class TrialRecorder(LeanNode):
             declare(
                 self,
                 "observed",
-                ["/object_pose", "/tcp_pose", "/gripper_state"],
+                ["/object_pose", "/tcp_pose", "/gripper_state", "/camera/image/compressed"],
                 "topics whose newest message from before ~/start is recorded, too: a policy's "
                 "first action answers it",
             )
