@@ -27,6 +27,7 @@ class EstimatorConfig:
         spacing: of the measured points along the outline [px].
         max_residual: distance from the fitted outline at which a point no longer agrees [px].
         min_score: share of the outline that must agree with the picture.
+        min_held_score: the same while a hand holds the block, whose fingers hide much of it.
         max_rms: of the points that agree, from the fitted outline [px]; a half more while held.
         max_denied: share of the outline that may contradict the picture; what is merely hidden
             contradicts nothing.
@@ -53,6 +54,7 @@ class EstimatorConfig:
     spacing: float = 4.0
     max_residual: float = 1.5
     min_score: float = 0.5
+    min_held_score: float = 0.35
     max_denied: float = 0.15
     max_held_denied: float = 0.35
     max_rms: float = 0.8
@@ -77,8 +79,9 @@ class EstimatorConfig:
         x0, x1, y0, y1 = self.region
         if not (x0 < x1 and y0 < y1):
             raise ValueError(f"region {self.region} m: must be x min < x max, y min < y max")
-        if not 0.0 < self.min_score <= 1.0:
-            raise ValueError(f"min_score {self.min_score}: must be in (0, 1]")
+        for name in ("min_score", "min_held_score"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} {getattr(self, name)}: must be in (0, 1]")
         if self.reduction not in (1, 2, 4, 8):
             raise ValueError(f"reduction {self.reduction}: 1, 2, 4 or 8")
         for name in (

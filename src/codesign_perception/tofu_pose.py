@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from codesign_perception.box import (
     Outline,
@@ -44,12 +45,13 @@ class Held:
     """What the hand that holds the block says about its centre.
 
     Attributes:
-        position: (3,) where it is expected in link_base [m]; x and y only start the fit.
-        sigma: standard deviation of the expected height [m].
+        position: (3,) where it is expected in link_base [m].
+        sigma: (3,) standard deviations of that [m]. A soft block gives way sideways while the
+            fingers close on it; the picture decides, and where they hide it, this is what is left.
     """
 
     position: Floats
-    sigma: float = 0.001
+    sigma: tuple[float, float, float] = (0.002, 0.002, 0.001)
 
 
 @dataclass(frozen=True)
@@ -201,29 +203,31 @@ class TofuPoseEstimator:
 
     def _resting(self) -> _Belief:
         """The foot is on the table."""
-        row = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -0.5])
+        config = self.config
+        row = np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -0.5]])
         return self._belief(
-            "resting", row, self.config.table_height, self.config.rest_sigma, self.config.size_sigma
+            "resting", row, [config.table_height], [config.rest_sigma], config.size_sigma
         )
 
     def _held(self, held: Held) -> _Belief:
-        """The centre is as high as the hand has it; the fingers squeeze."""
-        row = np.eye(7)[2]
-        z = float(held.position[2])
-        return self._belief("held", row, z, held.sigma, self.config.held_size_sigma)
+        """The centre is where the hand has it; the fingers squeeze."""
+        return self._belief(
+            "held", np.eye(7)[:3], held.position, held.sigma, self.config.held_size_sigma
+        )
 
     def _lifted(self, z: float) -> _Belief:
         """Nothing is known but the size."""
-        return self._belief("lifted", np.eye(7)[2], z, FREE_SIGMA, self.config.size_sigma)
+        return self._belief("lifted", np.eye(7)[2:3], [z], [FREE_SIGMA], self.config.size_sigma)
 
     def _belief(
-        self, name: str, row: Floats, value: float, sigma: float, size_sigma: float
+        self, name: str, rows: Floats, values: ArrayLike, sigmas: ArrayLike, size_sigma: float
     ) -> _Belief:
+        """These (M, 7) rows about the place, and the size."""
         return _Belief(
             name,
-            np.vstack([row, np.eye(7)[4:]]),
-            np.array([value, *self._size]),
-            np.array([sigma, *[size_sigma] * 3]),
+            np.vstack([rows, np.eye(7)[4:]]),
+            np.concatenate([values, self._size]),
+            np.concatenate([sigmas, [size_sigma] * 3]),
         )
 
     # -- one fit
@@ -231,8 +235,10 @@ class TofuPoseEstimator:
     def _fit(self, image: Image, guess: Guess, belief: _Belief, wide: bool) -> _Fit | None:
         """Gauss-Newton on edge points, measured again as the outline moves."""
         state, spacing = guess.state, self.config.spacing
-        if belief.name != "lifted":
-            state = self._at_height(state, belief)
+        if belief.name == "resting":
+            state = self._at_height(state, self.config.table_height + state[6] / 2.0)
+        elif belief.name == "held":
+            state = self._at_height(state, float(belief.values[2]))
         for _ in range(2 if wide else 1):
             line = outline(state, self._plane, 2.0 * spacing, CORNER_MARGIN)
             found = strongest_edges(image, self._plane, line, WIDE, guess.colors)
@@ -258,11 +264,8 @@ class TofuPoseEstimator:
             guess.colors,
         )  # fmt: skip
 
-    def _at_height(self, state: Floats, belief: _Belief) -> Floats:
-        """The state at the believed height that appears at the same place."""
-        z = float(belief.values[0])
-        if belief.name == "resting":
-            z += state[6] / 2.0
+    def _at_height(self, state: Floats, z: float) -> Floats:
+        """The state with its centre at this height [m] that appears at the same place."""
         pixel, _ = self._plane.project(state[None, :3])
         place = self._plane.on_plane(pixel, z)[0]
         return state if np.isnan(place).any() else np.array([*place, *state[3:]])
@@ -330,12 +333,13 @@ class TofuPoseEstimator:
         config = self.config
         x, y, z = fit.state[:3]
         x0, x1, y0, y1 = config.region
-        if fit.score < config.min_score:
+        held = fit.belief.name == "held"
+        least = config.min_held_score if held else config.min_score
+        if fit.score < least:
             return (
                 f"only {fit.score:.0%} of the outline agrees with the picture, at least "
-                f"{config.min_score:.0%} must: block hidden, of another size, or camera moved"
+                f"{least:.0%} must: block hidden, of another size, or camera moved"
             )
-        held = fit.belief.name == "held"
         most = config.max_held_denied if held else config.max_denied
         if fit.denied > most:
             return (

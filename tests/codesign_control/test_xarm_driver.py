@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from codesign_control.driver import CommandRefused, DriverConfig, DriverState, LinkError, XarmDriver
+from codesign_control.driver.gripper import GripperG1, GripperG2, GripperReading, GripperThread
 from codesign_control.gripper import GripperModel
 from tests.fake_box import wait_for
 from tests.fake_box.rig import Rig, turned, wave
+
+NARROW = GripperModel(0.026)
 
 
 @pytest.fixture
@@ -190,6 +193,35 @@ def test_gaps_are_those_of_the_mounted_fingers(rig: Rig) -> None:
     pulses = rig.box.switch()["gripper_position"]
     stock = 110.0 * math.sin(math.radians(pulses / 18.28 - 8.33)) + 16.0
     assert stock == pytest.approx(38.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("g1", GripperG1), ("g2", GripperG2)])
+def test_fingers_that_are_mounted_amid_a_reading_do_not_end_it(name: str, kind: Any) -> None:
+    """A gap that only the fingers before could have: the readings go on."""
+    readings: list[GripperReading] = []
+    thread = GripperThread(DriverConfig(gripper=name), readings.append)
+    wide_open = kind(GripperModel()).pulses(0.084)
+
+    class Link:
+        """Wide open; while that is on its way, narrower fingers are mounted."""
+
+        def gripper_pulses(self) -> float:
+            if not readings:
+                thread.mount(NARROW)
+            return wide_open
+
+    thread.attach(Link())
+    thread.start()
+    try:
+        deadline = time.monotonic() + 10.0
+        while len(readings) < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+    finally:
+        thread.stop()
+    assert len(readings) >= 3
+    assert readings[0].width > 0.08
+    assert [r.width for r in readings[1:3]] == pytest.approx([NARROW.max_width] * 2)
+    assert [r.velocity for r in readings[1:3]] == [0.0, 0.0]  # other fingers are no motion
 
 
 def test_the_gripper_does_not_move_before_enabling_nor_after_an_old_command(rig: Rig) -> None:

@@ -100,6 +100,27 @@ def test_lifted_block_by_the_hand_s_word(camera: Camera) -> None:
         assert np.linalg.norm(found.position - pose[:3]) < 0.002
 
 
+def test_a_block_that_the_fingers_hide_by_half(camera: Camera) -> None:
+    """The near finger is nearly as wide as the block: no way to tell its place by the picture alone, with
+    the hand's word 2 mm."""
+    truth = np.array([0.45, 0.0, 0.02, 0.3])
+    held = truth + np.array([0.0, 0.0, 0.1, 0.0])
+    turned = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    image = synthetic.blank(camera)
+    near = held.copy()
+    near[:2] += turned @ np.array([0.024, 0.0])
+    synthetic.draw_box(image, camera, held, (0.0512, 0.0273, 0.0405))
+    synthetic.draw_box(image, camera, near, (0.012, 0.05, 0.06), FINGER)
+    image = synthetic.finished(image, np.random.default_rng(0), blur=0.7, noise=3.0)
+    estimator = TofuPoseEstimator(camera, RIGID)
+    assert estimator.estimate(synthetic.tofu_image(camera, truth, blur=0.7, noise=3.0)).pose
+    assert estimator.estimate(image).pose is None
+    found = estimator.estimate(image, Held(held[:3] + np.array([0.0014, -0.0006, 0.0007])))
+    assert found.pose is not None, found.reason
+    assert found.score < RIGID.min_score
+    assert np.linalg.norm(found.pose.position - held[:3]) < 0.002
+
+
 def test_a_dropped_block_is_found_on_the_table(camera: Camera) -> None:
     """The hand goes up alone: what the picture shows decides."""
     estimator = TofuPoseEstimator(camera, RIGID)

@@ -115,7 +115,7 @@ class GripperThread:
         self._wanted: Target | None = None
         self._sent: float | None = None
         self._kind = self._make_kind(GripperModel())
-        self._last: GripperReading | None = None
+        self._last: tuple[GripperG1 | GripperG2, GripperReading] | None = None
         self._stop = threading.Event()
         self.message = ""
         self.commands_sent = 0
@@ -199,6 +199,7 @@ class GripperThread:
             self._stop.wait(max(0.0, due - time.monotonic()))
 
     def _turn(self, link: ArmLink) -> None:
+        kind = self._kind  # `mount` may come at any moment: one of them throughout
         while self._targets and self._targets[0][0] <= time.monotonic():
             self._wanted = self._targets.popleft()[1]
         wanted = self._wanted
@@ -207,25 +208,27 @@ class GripperThread:
         )
         if changed and self._allowed and link is self._link:
             assert wanted is not None
-            self._kind.move(link, *wanted)
+            kind.move(link, *wanted)
             self._sent = wanted[0]
             self.commands_sent += 1
-        self._read(link)
+        self._read(link, kind)
 
-    def _read(self, link: ArmLink) -> None:
-        width = self._kind.width(link.gripper_pulses())
+    def _read(self, link: ArmLink, kind: GripperG1 | GripperG2) -> None:
+        width = kind.width(link.gripper_pulses())
         now = time.monotonic()
-        last = self._last
-        velocity = (width - last.width) / (now - last.moment) if last else 0.0
-        self._last = GripperReading(
+        velocity = 0.0
+        if self._last is not None and self._last[0] is kind:  # else: other fingers, no motion
+            velocity = (width - self._last[1].width) / (now - self._last[1].moment)
+        reading = GripperReading(
             moment=now,
             width=width,
             velocity=velocity,
             target_width=width if self._sent is None else self._sent,
-            drive_joint=self._kind.model.drive_joint(width),
+            drive_joint=kind.model.drive_joint(width),
             moving=abs(velocity) > MOVING_SPEED,
         )
-        self._on_reading(self._last)
+        self._last = kind, reading
+        self._on_reading(reading)
 
     def _what_is_wrong(self, link: ArmLink, message: str) -> str:
         with contextlib.suppress(LinkError):

@@ -299,7 +299,9 @@ def _on_this_host() -> dict[str, str]:
     """Variables with which DDS stays on this host, as in scripts/env.sh; what is set already goes
     before them."""
     chosen = {"ROS_AUTOMATIC_DISCOVERY_RANGE", PROFILES_FILE} & os.environ.keys()
-    if chosen or not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith("rmw_fastrtps"):
+    if chosen or not os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps").startswith(
+        "rmw_fastrtps"
+    ):
         return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     profile = Path(get_package_share_directory("codesign_bringup"), "config", "fastdds.xml")
     return {PROFILES_FILE: str(profile), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}

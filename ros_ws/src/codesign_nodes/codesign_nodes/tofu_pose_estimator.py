@@ -97,6 +97,7 @@ class TofuPoseEstimatorNode(LeanNode):
             "max_lift": ("largest height above the table [m]", 0.01, 1.0),
             "min_contrast": ("brightness of block above table [grey levels]", 5.0, 200.0),
             "min_score": ("share of the outline that must agree", 0.2, 1.0),
+            "min_held_score": ("the same while a hand holds the block", 0.2, 1.0),
             "max_denied": ("share of the outline that may contradict", 0.0, 0.5),
             "max_residual": ("distance at which an edge point disagrees [px]", 0.3, 10.0),
             "max_rms": ("of the edge points that agree [px]", 0.1, 5.0),

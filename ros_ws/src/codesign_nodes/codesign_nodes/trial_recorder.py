@@ -40,7 +40,8 @@ from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, run, stead
 
 DEPTH = 1000  # messages that a subscription may keep while the executor is busy
 QUEUE = 20_000  # messages that may wait for the disk
-MATCH_TIMEOUT = 3.0  # s
+MATCH_TIMEOUT = 4.0  # s
+SETTLED = 0.7  # s; a reader may know a writer that long before the writer knows it
 DRAIN_TIMEOUT = 3.0  # s
 FLUSH_PERIOD = 0.5  # s
 QUIET = 0.1  # s without a message from before the stop
@@ -63,6 +64,7 @@ class TrialRecorder(LeanNode):
                 "first action answers it",
             )
         )
+        self._matches, self._matched_at = 0, time.monotonic()
         self._types = _type_store()
         self._subscriptions_by_topic: dict[str, Any] = {}
         self._newest: dict[str, bytes] = {}  # of latched and observed topics
@@ -87,6 +89,9 @@ class TrialRecorder(LeanNode):
             offered = self.get_publishers_info_by_topic(topic)
             if offered:
                 self._subscribe(topic, types[0], offered[0].qos_profile)
+        found = (s.get_publisher_count() for s, *_ in self._subscriptions_by_topic.values())
+        if (matches := sum(found)) != self._matches:
+            self._matches, self._matched_at = matches, time.monotonic()
 
     def _subscribe(self, topic: str, type_name: str, offered: QoSProfile) -> None:
         try:
@@ -153,7 +158,8 @@ class TrialRecorder(LeanNode):
         return response
 
     async def _until_matched(self) -> None:
-        """Returns once every publisher of every topic reaches us: from now on nothing is missed."""
+        """Returns once every publisher of every topic reaches us, and has done so for a while: from
+        now on nothing is missed."""
         patience = MATCH_TIMEOUT
         while patience > 0.0:
             self._discover()
@@ -162,11 +168,12 @@ class TrialRecorder(LeanNode):
                 for topic, (subscription, *_) in self._subscriptions_by_topic.items()
                 if subscription.get_publisher_count() < self.count_publishers(topic)
             ]
-            if not missing:
+            if not missing and time.monotonic() - self._matched_at > SETTLED:
                 return
             await self.sleep(0.05)
             patience -= 0.05
-        self.get_logger().warning(f"recording without all publishers of {', '.join(missing)}")
+        if missing:
+            self.get_logger().warning(f"recording without all publishers of {', '.join(missing)}")
 
     async def _until_drained(self) -> bool:
         """Returns once what was published before now has come in, or too much time has passed."""
