@@ -101,8 +101,8 @@ def test_lifted_block_by_the_hand_s_word(camera: Camera) -> None:
 
 
 def test_a_block_that_the_fingers_hide_by_half(camera: Camera) -> None:
-    """The near finger is nearly as wide as the block: no way to tell its place by the picture alone, with
-    the hand's word 2 mm."""
+    """A finger nearly as wide as the block before it: the picture alone does not tell its place,
+    with the hand's word it does to 2 mm."""
     truth = np.array([0.45, 0.0, 0.02, 0.3])
     held = truth + np.array([0.0, 0.0, 0.1, 0.0])
     turned = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
@@ -110,7 +110,7 @@ def test_a_block_that_the_fingers_hide_by_half(camera: Camera) -> None:
     near = held.copy()
     near[:2] += turned @ np.array([0.024, 0.0])
     synthetic.draw_box(image, camera, held, (0.0512, 0.0273, 0.0405))
-    synthetic.draw_box(image, camera, near, (0.012, 0.05, 0.06), FINGER)
+    synthetic.draw_box(image, camera, near, (0.012, 0.028, 0.06), FINGER)
     image = synthetic.finished(image, np.random.default_rng(0), blur=0.7, noise=3.0)
     estimator = TofuPoseEstimator(camera, RIGID)
     assert estimator.estimate(synthetic.tofu_image(camera, truth, blur=0.7, noise=3.0)).pose
