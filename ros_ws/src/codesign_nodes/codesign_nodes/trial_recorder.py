@@ -38,6 +38,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from codesign_nodes.node_tools import Diagnostics, LeanNode, declare, run, steady_clock
 
+OBSERVED = (
+    "/object_pose",
+    "/tcp_pose",
+    "/gripper_state",
+    "/joint_states",
+    "/stress",
+    "/simulation_state",
+    "/camera/image/compressed",
+)
 DEPTH = 1000  # messages that a subscription may keep while the executor is busy
 QUEUE = 20_000  # messages that may wait for the disk
 MATCH_TIMEOUT = 4.0  # s
@@ -59,7 +68,7 @@ class TrialRecorder(LeanNode):
             declare(
                 self,
                 "observed",
-                ["/object_pose", "/tcp_pose", "/gripper_state", "/camera/image/compressed"],
+                [*OBSERVED],
                 "topics whose newest message from before ~/start is recorded, too: a policy's "
                 "first action answers it",
             )
