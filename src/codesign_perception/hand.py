@@ -22,6 +22,14 @@ RELEASE = 0.0015  # m that the gap is wider before it counts as let go
 REACH = (0.030, 0.012, 0.045)  # m from the grasp frame, along its x, y and z: between the fingers
 OLDEST = 300_000_000  # ns that a hand's pose may be older than the picture
 KEPT = 100
+CARRIED = 0.005  # m that a hand has to rise with the block before it can drop it
+
+
+@dataclass(frozen=True)
+class _Grip:
+    block: Floats  # its centre in the grasp frame [m]
+    thickness: float  # m, of the free block between the fingers
+    height: float  # m, of the hand then
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,8 @@ class Hand:
         self._samples: deque[_Sample] = deque(maxlen=KEPT)
         self._widths: deque[tuple[int, float]] = deque(maxlen=KEPT)
         self._last: TofuPose | None = None
-        self._grip: tuple[Floats, float] | None = None  # block in the grasp frame; its thickness
+        self._grip: _Grip | None = None
+        self._height = 0.0  # m, of the hand at the last picture
         self._dropped = False
 
     @property
@@ -79,10 +88,15 @@ class Hand:
             self._widths.append((stamp, float(width)))
 
     def add_block(self, pose: TofuPose) -> None:
-        """What the last picture showed. A block that is not where the hand holds it was dropped."""
+        """What the last picture showed.
+
+        A block that is not where the hand holds it was dropped; unless the hand has yet to rise,
+        and its lips merely slide under a block that rests: that one it grips anew.
+        """
         self._last = pose
         if self._grip is not None and pose.state != "held":
-            self._grip, self._dropped = None, True
+            self._dropped = self._height > self._grip.height + CARRIED
+            self._grip = None
 
     def held(self, stamp: int) -> Held | None:
         """Where the hand has the block at the time of a picture; None if it holds none."""
@@ -90,13 +104,14 @@ class Hand:
         if sample is None or width is None:
             self._grip = None
             return None
-        if self._grip is not None and width > self._grip[1] + RELEASE:
+        self._height = float(sample.position[2])
+        if self._grip is not None and width > self._grip.thickness + RELEASE:
             self._grip = None
         if self._grip is None and self._last is not None:
             self._try_grip(sample, width)
         if self._grip is None:
             return None
-        return Held(sample.position + sample.rotation.apply(self._grip[0]))
+        return Held(sample.position + sample.rotation.apply(self._grip.block))
 
     def _try_grip(self, sample: _Sample, width: float) -> None:
         """Grips when the gap is narrower than the block between the fingers."""
@@ -109,7 +124,7 @@ class Hand:
             return
         local = sample.rotation.inv().apply(self._last.position - sample.position)
         if not self._dropped and (np.abs(local) < REACH).all():
-            self._grip = (local, thickness)
+            self._grip = _Grip(local, thickness, float(sample.position[2]))
 
     def _pose_at(self, stamp: int) -> _Sample | None:
         """Between the samples around a moment; the last one before it if it is recent."""

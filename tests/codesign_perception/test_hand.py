@@ -63,10 +63,23 @@ def test_a_dropped_block_is_not_held_until_the_fingers_open() -> None:
     hand = Hand(EstimatorConfig())
     hand.add_block(block([0.45, 0.0, 0.02]))
     assert at(hand, 0, [0.45, 0.0, 0.01], 0.027) is not None
+    assert at(hand, 1, [0.45, 0.0, 0.02], 0.027) is not None
     hand.add_block(block([0.45, 0.0, 0.02], "resting"))
-    assert at(hand, 1, [0.45, 0.0, 0.01], 0.027) is None
-    assert at(hand, 2, [0.45, 0.0, 0.01], 0.06) is None
-    assert at(hand, 3, [0.45, 0.0, 0.01], 0.028) is not None
+    assert at(hand, 2, [0.45, 0.0, 0.02], 0.027) is None
+    assert at(hand, 3, [0.45, 0.0, 0.01], 0.06) is None
+    assert at(hand, 4, [0.45, 0.0, 0.01], 0.028) is not None
+
+
+def test_a_block_that_rests_while_lips_slide_under_it_is_gripped_anew() -> None:
+    """Between the lips the gap is narrower than the block long before they touch it."""
+    hand = Hand(EstimatorConfig())
+    hand.add_block(block([0.45, 0.0, 0.02]))
+    assert at(hand, 0, [0.45, 0.0, 0.01], 0.028) is not None
+    hand.add_block(block([0.45, 0.0, 0.02], "resting"))
+    held = at(hand, 1, [0.453, 0.001, 0.012], 0.010)  # the hand moved about the block
+    np.testing.assert_allclose(held.position, [0.45, 0.0, 0.02], atol=1e-12)
+    held = at(hand, 2, [0.453, 0.001, 0.112], 0.010)
+    np.testing.assert_allclose(held.position, [0.45, 0.0, 0.12], atol=1e-12)
 
 
 def test_what_the_hand_said_long_ago_does_not_count() -> None:
