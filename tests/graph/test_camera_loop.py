@@ -21,8 +21,10 @@ TIMEOUT = 900.0  # s: rendering without a GPU beside other tests
 pytestmark = pytest.mark.timeout(TIMEOUT + 120.0)
 
 
-def run_trial(out: Path, camera: Path, *options: str, succeeds: bool = True) -> dict[str, Any]:
-    """One trial in lockstep at 600 tetrahedra, through this camera."""
+def run_trials(
+    out: Path, camera: Path, *options: str, policies: tuple[str, ...] = (), succeeds: bool = True
+) -> list[dict[str, Any]]:
+    """A trial with each policy, in lockstep at 600 tetrahedra, through this camera."""
     settings = [
         f"simulated_camera.camera_file={camera}",
         f"tofu_pose_estimator.camera_file={camera}",
@@ -33,12 +35,11 @@ def run_trial(out: Path, camera: Path, *options: str, succeeds: bool = True) -> 
         str(executable("codesign_bringup", "bringup")), "sim_camera", "--lockstep", "--quiet",
         "--log-folder", str(out / "logs"), *(part for s in settings for part in ("--set", s)),
         "--", "run_trials", "--count", "1", "--seed", str(SEED), "--out", str(out),
-        "--timeout", str(TIMEOUT),
+        "--timeout", str(TIMEOUT), *(part for p in policies for part in ("--policy", p)),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT + 60.0)
     assert done.returncode == (0 if succeeds else 1), done.stdout + done.stderr
-    (trial,) = json.loads((out / "trials.json").read_text())["trials"]
-    return trial
+    return json.loads((out / "trials.json").read_text())["trials"]
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,8 @@ def camera(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory, camera: Path) -> dict[str, Any]:
-    return run_trial(tmp_path_factory.mktemp("camera_loop"), camera)
+    (trial,) = run_trials(tmp_path_factory.mktemp("camera_loop"), camera)
+    return trial
 
 
 def by_stamp(bag: Path, topic: str) -> dict[int, Any]:
@@ -120,9 +122,30 @@ def test_pictures_have_the_size_of_their_camera_info(trial: dict[str, Any], came
     assert decoded.shape == (540, 960, 3)
 
 
+def test_every_policy_sees_enough_and_the_same_trial_is_the_same_again(
+    tmp_path: Path, camera: Path, trial: dict[str, Any]
+) -> None:
+    """The pairs' fingers hide half of what they hold."""
+    policies = ("scripted", "codesign", "original")
+    again, *learned = run_trials(tmp_path, camera, policies=policies)
+    for result in learned:
+        assert result["success"], f"{result['gripper']}: {result['message']}"
+    first, second = (by_stamp(Path(t["bag"]), "/action") for t in (trial, again))
+    end = min(max(first), max(second))  # a policy goes on until it is stopped
+    assert {s for s in first if s <= end} == {s for s in second if s <= end}
+    for stamp in (s for s in first if s <= end):
+        mine, other = first[stamp], second[stamp]
+        assert (mine.translation, mine.rotation, mine.width) == (
+            other.translation,
+            other.rotation,
+            other.width,
+        )
+    assert trial["metrics"] == again["metrics"]
+
+
 def test_a_block_out_of_sight_ends_the_trial_without_a_move(tmp_path: Path, camera: Path) -> None:
     """The camera looks half a radian past what its file says."""
-    result = run_trial(
+    (result,) = run_trials(
         tmp_path,
         camera,
         "simulated_camera.rotation_error=0.5",
