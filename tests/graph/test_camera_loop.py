@@ -80,6 +80,17 @@ def numbers(action: Any) -> list[float]:
     return [way.x, way.y, way.z, turn.x, turn.y, turn.z, action.width]
 
 
+def gap_errors(bag: Path) -> np.ndarray:
+    """How far the gap is from a command when the next one comes [m]: one that waited for the table
+    must not stay behind for good."""
+    actions = by_stamp(bag, "/action")
+    commands, states = by_stamp(bag, "/gripper_command"), by_stamp(bag, "/gripper_state")
+    later = {stamp: stamp + 50_000_000 for stamp in commands if min(actions) <= stamp}
+    return np.array(
+        [abs(states[t].width - commands[s].width) for s, t in later.items() if t in states]
+    )
+
+
 def test_tofu_is_picked_up_through_the_camera(trial: dict[str, Any]) -> None:
     assert trial["success"], trial["message"]
     assert trial["metrics"]["peak_lift"] == pytest.approx(0.1, abs=0.003)
@@ -135,6 +146,7 @@ def test_every_policy_sees_enough_and_the_same_trial_is_the_same_again(
     again, *learned = run_trials(tmp_path, camera, policies=policies)
     for result in learned:
         assert result["success"], f"{result['gripper']}: {result['message']}"
+        assert gap_errors(Path(result["bag"])).max() < 1e-6
     first, second = (by_stamp(Path(t["bag"]), "/action") for t in (trial, again))
     end = min(max(first), max(second))  # a policy goes on until it is stopped
     assert {s for s in first if s <= end} == {s for s in second if s <= end}

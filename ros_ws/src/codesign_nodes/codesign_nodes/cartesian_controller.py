@@ -109,7 +109,7 @@ class CartesianController(LeanNode):
         self._measured_is_new = False
         self._observations = 0
         self._width = math.nan  # measured
-        self._width_speed = 0.0
+        self._width_sent: float | None = None  # since actions are followed
         self._last_action = ControlAction()
         self._rejected = 0
         self._last_error = ""
@@ -307,9 +307,17 @@ class CartesianController(LeanNode):
 
     def _gripper_command(self, output: ServoOutput, stamp: Any) -> GripperCommand:
         width = self._gap_target() if output.gripper is None else output.gripper
-        message = GripperCommand(width=width, speed=self._width_speed)
+        message = GripperCommand(width=width, speed=self._gripper_speed(width))
         message.header.stamp = stamp
         return message
+
+    def _gripper_speed(self, width: float) -> float:
+        """With which the gap is there when the next command comes [m/s]; 0, the gripper's own,
+        before the first action. What a wait for the table held up is thus caught up with."""
+        if self._width_sent is None:
+            return 0.0
+        change, self._width_sent = abs(width - self._width_sent), width
+        return max(change / POLICY_PERIOD, MIN_GRIPPER_SPEED)
 
     def _is_slow_tick(self, valid_at: int) -> bool:
         """Whether the gripper is due: 20 times a second, on the policy's grid in lockstep."""
@@ -501,7 +509,8 @@ class CartesianController(LeanNode):
         now = self._now if self._lockstep else time.monotonic()
         self._servo.submit(translation, rotation, now)
         self._servo.ask_gripper(after)
-        self._width_speed = max(abs(after - before) / POLICY_PERIOD, MIN_GRIPPER_SPEED)
+        if self._width_sent is None:
+            self._width_sent = before
         self._last_action = message
 
     def _above_table(
@@ -553,6 +562,7 @@ class CartesianController(LeanNode):
             with self._lock:
                 self._servo.enable(self._measured, self._time())
                 self._policy_absent = False
+                self._width_sent = None
                 # Lockstep: the tick that stood while disabled wants an answer now.
                 self._stepped = -1
                 self._last_action = ControlAction()
@@ -639,7 +649,7 @@ class CartesianController(LeanNode):
             self._servo.move_to(target, self._time(), request.speed_scale or 0.3)
             if math.isfinite(request.width):
                 self._servo.ask_gripper(self._gripper.clip(request.width))
-                self._width_speed = 0.0
+                self._width_sent = None
             self._goal_done = Future()
             return self._goal_done
 
