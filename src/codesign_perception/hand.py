@@ -29,7 +29,6 @@ CARRIED = 0.005  # m that a hand has to rise with the block before it can drop i
 class _Grip:
     block: Floats  # its centre in the grasp frame [m]
     thickness: float  # m, of the free block between the fingers
-    height: float  # m, of the hand then
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,7 @@ class Hand:
         self._last: TofuPose | None = None
         self._grip: _Grip | None = None
         self._height = 0.0  # m, of the hand at the last picture
+        self._closed_at: float | None = None  # m, its height when the open fingers gripped
         self._dropped = False
 
     @property
@@ -63,7 +63,7 @@ class Hand:
         """Forget everything."""
         self._samples.clear()
         self._widths.clear()
-        self._last = self._grip = None
+        self._last = self._grip = self._closed_at = None
         self._dropped = False
 
     def add_pose(self, stamp: int, position: Floats, quaternion: Floats) -> None:
@@ -95,7 +95,7 @@ class Hand:
         """
         self._last = pose
         if self._grip is not None and pose.state != "held":
-            self._dropped = self._height > self._grip.height + CARRIED
+            self._dropped = self._closed_at is None or self._height > self._closed_at + CARRIED
             self._grip = None
 
     def held(self, stamp: int) -> Held | None:
@@ -106,7 +106,7 @@ class Hand:
             return None
         self._height = float(sample.position[2])
         if self._grip is not None and width > self._grip.thickness + RELEASE:
-            self._grip = None
+            self._grip = self._closed_at = None
         if self._grip is None and self._last is not None:
             self._try_grip(sample, width)
         if self._grip is None:
@@ -120,11 +120,14 @@ class Hand:
         turn = abs(wrapped(float(np.arctan2(closing[1], closing[0])) - self._last.yaw))
         thickness = self._size[0] if turn < np.pi / 4.0 else self._size[1]
         if width > thickness - SQUEEZE:
-            self._dropped = self._dropped and width < thickness + RELEASE
+            if width >= thickness + RELEASE:
+                self._dropped, self._closed_at = False, None
             return
         local = sample.rotation.inv().apply(self._last.position - sample.position)
         if not self._dropped and (np.abs(local) < REACH).all():
-            self._grip = _Grip(local, thickness, float(sample.position[2]))
+            self._grip = _Grip(local, thickness)
+            if self._closed_at is None:
+                self._closed_at = self._height
 
     def _pose_at(self, stamp: int) -> _Sample | None:
         """Between the samples around a moment; the last one before it if it is recent."""

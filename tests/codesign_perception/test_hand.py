@@ -82,6 +82,17 @@ def test_a_block_that_rests_while_lips_slide_under_it_is_gripped_anew() -> None:
     np.testing.assert_allclose(held.position, [0.45, 0.0, 0.12], atol=1e-12)
 
 
+def test_a_block_that_stays_while_the_hand_rises_slowly_was_dropped() -> None:
+    hand = Hand(EstimatorConfig())
+    hand.add_block(block([0.45, 0.0, 0.02]))
+    heights = (0.010, 0.013, 0.016, 0.019)
+    held = []
+    for tick, height in enumerate(heights):
+        held.append(at(hand, tick, [0.45, 0.0, height], 0.020) is not None)
+        hand.add_block(block([0.45, 0.0, 0.02], "resting"))
+    assert held == [True, True, True, False]
+
+
 def test_what_the_hand_said_long_ago_does_not_count() -> None:
     hand = Hand(EstimatorConfig())
     hand.add_block(block([0.45, 0.0, 0.02]))
